@@ -196,12 +196,12 @@ def row(
     without = falsify(sound, folder / "without", workers=workers)
     mildest, driven = grid(asked, count, folder / "grid", workers)
     case = ", ".join(axis.shown(found.case[axis.name]) for axis in asked.axes) if found.case else ""
-    away = found.found.distance
+    away = found.mildest.distance
     values = (
         name,
         hole.subject,
         " ".join(hole.axes),
-        without.found.distance,
+        without.mildest.distance,
         away,
         len(found.table),
         mildest,

@@ -236,7 +236,8 @@ def vary(
       replan vary my_bag --agent 17 --vary time=-2:2:9 -p dp_qp
       replan vary my_log.mcap --vary standing_car=20:80:7 --vary ego_speed=0.5:1.5:5
     """
-    from replan.experiments.conflict import opened, question_about
+    from replan.experiments.question import question_about
+    from replan.experiments.recorded_log import opened
     from replan.experiments.surface import vary as evaluate_surface
 
     if listing:

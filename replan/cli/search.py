@@ -120,7 +120,7 @@ def falsify(
             {
                 "results": result.out,
                 "exit_code": result.exit_code,
-                "distance": result.found.distance,
+                "distance": result.mildest.distance,
                 "case": result.case,
                 "said": result.lines(),
             }

@@ -2,7 +2,8 @@
 `replan vary | falsify | tune | diagnose`.
 
     trial.py           shared by all: scenarios made, driven and read as trials; tables of trials
-    conflict.py        the recorded log prepared for variation; distances of road users to the ego
+    recorded_log.py    the recorded log prepared for variation
+    encounters.py      distances of road users to the ego, and the one in conflict with it
 
     vary       a surface of pass and fail over one or two parameters
     question.py        the varied parameters and their values
@@ -22,8 +23,8 @@
     diagnose   why drives fail: driven again with one thing changed
     changes.py         the changes (changes.toml), and the cause to which those that pass point
     drives.py          the failing drives with each change, judged by their gates
-    failure.py         the failure of a drive in words: compared with the drive that passes, and
-                       with predictions
+    failure.py         the failure of a drive: compared with the drive that passes, and with
+                       predictions; failure_words.py, the words
     remedy.py          the smallest change of one setting that passes, and the drives of the run
                        that it breaks
     diagnose.py, findings.py   a whole diagnosis, and its sentences, page and tables

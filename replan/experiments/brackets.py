@@ -36,6 +36,11 @@ class Bracket:
         """The midpoint."""
         return 0.5 * (self.low + self.high)
 
+    @property
+    def width(self) -> float:
+        """Distance of the points."""
+        return self.high - self.low
+
     def halved(self, outcome: str) -> Bracket:
         """The half that contains the edge, by the outcome in the middle."""
         if outcome == ERROR:
@@ -50,30 +55,25 @@ def brackets(outcomes: Mapping[Cell, str]) -> tuple[Bracket, ...]:
 
     A cell with an error ends no bracket.
     """
-    found = []
+    pairs = []
     for row in sorted({cell[1:] for cell in outcomes}):
         line = sorted((cell[0], outcome) for cell, outcome in outcomes.items() if cell[1:] == row)
         for (low, at_low), (high, at_high) in pairwise(line):
             if ERROR not in (at_low, at_high) and (at_low == PASS) != (at_high == PASS):
-                found.append(Bracket(row, low, high, at_low, at_high))
-    return tuple(found)
+                pairs.append(Bracket(row, low, high, at_low, at_high))
+    return tuple(pairs)
 
 
 def bisect_brackets(
-    found: Sequence[Bracket], evaluate: Callable[[Sequence[Cell]], Sequence[str]], resolution: float
+    pairs: Sequence[Bracket], evaluate: Callable[[Sequence[Cell]], Sequence[str]], resolution: float
 ) -> tuple[Bracket, ...]:
     """The brackets halved until they are no wider than `resolution`; `evaluate` gives the outcomes
     of cells.
     """
-    current = list(found)
-    while True:
-        wide = [
-            k
-            for k, one in enumerate(current)
-            if one.is_open and one.high - one.low > resolution * (1.0 + 1e-9)
-        ]
-        if not wide:
-            return tuple(current)
+    widest = resolution * (1.0 + 1e-9)
+    current = list(pairs)
+    while wide := [k for k, pair in enumerate(current) if pair.is_open and pair.width > widest]:
         outcomes = evaluate([(current[k].middle, *current[k].row) for k in wide])
         for k, outcome in zip(wide, outcomes, strict=True):
             current[k] = current[k].halved(outcome)
+    return tuple(current)

@@ -72,6 +72,16 @@ class TriedChange:
         if not (self.default or self.set):
             raise ConfigError(f"change '{self.name}': needs default or set")
 
+    def applied_to(self, run: dict[str, Any]) -> dict[str, Any]:
+        """The table of a run with the change."""
+        for key in self.default:  # the default applies to a missing key
+            *parents, last = key.split(".")
+            table = run
+            for name in parents:
+                table = table.get(name, {})
+            table.pop(last, None)
+        return merged(run, self.set)
+
 
 @dataclass(frozen=True, eq=False)
 class ChangedRun:
@@ -99,11 +109,11 @@ def load_changes(path: Path | None = None) -> tuple[TriedChange, ...]:
     rows: list[TriedChange] = []
     for file in filter(None, (BUILT_IN, path)):
         table = read_toml(file)
-        found = table.get("change")
-        if set(table) != {"change"} or not isinstance(found, list):
+        table_rows = table.get("change")
+        if set(table) != {"change"} or not isinstance(table_rows, list):
             raise ConfigError(f"{file}: holds rows [[change]] and nothing else")
         try:
-            rows += [strict(TriedChange, row, "change") for row in found]
+            rows += [strict(TriedChange, row, "change") for row in table_rows]
         except ConfigError as error:
             raise ConfigError(f"{file}: {error}") from None
     names = [row.name for row in rows]
@@ -117,8 +127,8 @@ def driven(run: RunConfig, planner: str) -> RunConfig:
     """The part of a run to drive: the closed loop of one planner, with internals for the first
     difference.
     """
-    own = {planner: run.planner.get(planner, {})}
-    return closed(run, planners=(planner,), planner=own, **{**QUIET, "internals": "summary"})
+    settings = {planner: run.planner.get(planner, {})}
+    return closed(run, planners=(planner,), planner=settings, **{**QUIET, "internals": "summary"})
 
 
 def changed_runs(
@@ -130,30 +140,22 @@ def changed_runs(
     run = checked(run)[0]
     table = dump_run(run)
     base = dict(flat(tomllib.loads(table)))
-    found: list[ChangedRun] = []
+    runs: list[ChangedRun] = []
     refused: dict[str, str] = {}
     for change in changes:
         if change.planner and change.planner != run.planners[0]:
             continue
-        changed = tomllib.loads(table)
-        for key in change.default:  # the default applies to a missing key
-            *parents, last = key.split(".")
-            inner = changed
-            for name in parents:
-                inner = inner.get(name, {})
-            inner.pop(last, None)
         try:
-            made = checked(strict(RunConfig, merged(changed, change.set)))[0]
+            changed = checked(strict(RunConfig, change.applied_to(tomllib.loads(table))))[0]
         except (ConfigError, PlannerError) as error:
             refused[change.name] = str(error)
             continue
-        now = dict(flat(tomllib.loads(dump_run(made))))
-        keys = frozenset(
-            (key, repr(now.get(key))) for key in {*base, *now} if base.get(key) != now.get(key)
-        )
-        if keys and all(keys != other.keys for other in found):
-            found.append(ChangedRun(change, made, keys))
-    return tuple(found), refused
+        values = dict(flat(tomllib.loads(dump_run(changed))))
+        differing = [key for key in {*base, *values} if base.get(key) != values.get(key)]
+        keys = frozenset((key, repr(values.get(key))) for key in differing)
+        if keys and all(keys != other.keys for other in runs):
+            runs.append(ChangedRun(change, changed, keys))
+    return tuple(runs), refused
 
 
 @dataclass(frozen=True)
@@ -169,6 +171,12 @@ class FailureCause:
     name: str
     changes: tuple[str, ...] = ()
     fragile: tuple[str, ...] = ()
+
+
+def _is_due_to_part(run: ChangedRun, passed: Sequence[ChangedRun]) -> bool:
+    """Whether a part of the change that points to another cause passes, too."""
+    parts = (part.change for part in passed if part.is_part_of(run))
+    return any(part.cause != run.change.cause for part in parts)
 
 
 def cause_of(
@@ -187,16 +195,11 @@ def cause_of(
     if fragile:
         return FailureCause(NOT_FOUND, fragile=tuple(fragile))  # (3)
     passed = [run for run in runs if run.change.name in passing]
-    counts = [
-        run.change
-        for run in passed
-        if not any(
-            part.is_part_of(run) and part.change.cause != run.change.cause for part in passed
-        )
-    ]  # (1)
+    counts = [run.change for run in passed if not _is_due_to_part(run, passed)]  # (1)
     for rank in RANKS:
-        found = [change for change in counts if change.rank == rank]
-        if found:
-            causes = dict.fromkeys(change.cause for change in found)
-            return FailureCause(" or ".join(causes), tuple(change.name for change in found))  # (2)
+        counting = [change for change in counts if change.rank == rank]
+        if counting:
+            causes = dict.fromkeys(change.cause for change in counting)
+            names = tuple(change.name for change in counting)
+            return FailureCause(" or ".join(causes), names)  # (2)
     return FailureCause(NOT_FOUND if avoidable else UNAVOIDABLE)  # (4), (5)

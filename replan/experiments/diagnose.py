@@ -15,7 +15,7 @@ import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from math import inf, isfinite, nan
+from math import inf, nan
 from pathlib import Path
 from typing import Any
 
@@ -27,13 +27,15 @@ from replan.core.names import counted
 from replan.draw.drawn_results import DriveResult, Results, load
 from replan.experiments.changes import ChangedRun, TriedChange, cause_of, changed_runs, driven
 from replan.experiments.drives import (
+    CONTROLS,
+    ChangedDrive,
     DrivenLogs,
+    FailingDrive,
     as_driven,
-    cut_short,
+    control_file,
     drive_again,
     failed_gates,
     parting,
-    passes,
     still_failing,
     worse_peak,
 )
@@ -50,11 +52,11 @@ from replan.experiments.failure import (
     lane_change,
     waits,
 )
-from replan.experiments.findings import AS_IT_WAS, Diagnosis, Found
+from replan.experiments.findings import AS_IT_WAS, Diagnosis, DriveFinding
 from replan.experiments.remedy import Remedy, smallest_change
 from replan.experiments.space import Setting, Value, shown, with_values
 from replan.experiments.trial import MODE, scratch_folder
-from replan.explain.causes import accounts
+from replan.explain.causes import Account, accounts
 from replan.explain.explanation import Explanation
 from replan.logs.agents import AgentKind
 from replan.logs.mcap import write_scenario
@@ -70,10 +72,6 @@ from replan.run.resume import Study, study_head
 
 KIND = "diagnose"
 CONTENTS = FolderContents(KIND, ("diagnosis.*", "changes.csv", "changes", "logs"))
-CONTROLS = ("tiny", "start", "noise")
-"""Perturbations (`replan.run.ensemble`) with which a drive must also fail, so that a change is
-conclusive.
-"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,13 +96,12 @@ class DiagnosisQuestion:
     def failing(self, mode: str = MODE) -> Mapping[str, tuple[str, ...]]:
         """The logs whose drives fail gates in a loop, sorted, and these gates."""
         rows = self.results.verdicts
-        mine = rows[
+        rows = rows[
             (rows["planner"] == self.planner) & (rows["mode"] == mode) & (rows["outcome"] == "fail")
         ]
-        gates = mine.groupby("log")["gate"].agg(tuple)
-        return {
-            str(log): gates[log] for log in sorted(gates.index) if not self.logs or log in self.logs
-        }
+        gates = rows.groupby("log")["gate"].agg(tuple)
+        names = [log for log in sorted(gates.index) if not self.logs or log in self.logs]
+        return {str(log): gates[log] for log in names}
 
     def head(self) -> dict[str, Any]:
         """The inputs that identify a diagnosis."""
@@ -158,339 +155,324 @@ def diagnose(
         PlannerError: The planner cannot be loaded.
     """
     runs, refused = changed_runs(asked.changes, asked.run)
-    with claimed_folder(out, CONTENTS, resume=resume) as out:
-        trials = _DiagnosisDrives(asked, out, Study(out, asked.head(), resume=resume), workers)
-        lost = (
-            f", {len(trials.not_driven)} more cannot be driven again" if trials.not_driven else ""
-        )
-        failing = trials.failing
+    with claimed_folder(out, CONTENTS, resume=resume) as folder:
+        study = Study(folder, asked.head(), resume=resume)
+        drives = _DiagnosisDrives(asked, folder, study, workers)
+        failing = drives.failing
+        lost = ""
+        if drives.not_driven:
+            lost = f", {len(drives.not_driven)} more cannot be driven again"
         say(
             f"{counted(len(failing), 'failing drive')} of {asked.planner}{lost}, "
             f"{counted(len(runs), 'change')}"
         )
-        for k, run in enumerate(runs if failing else ()):
-            passing = sum(one["passes"] for one in trials.drive(run).values())
-            say(f"{k + 1} of {len(runs)}: {run.change.name}: {passing} of {len(failing)} pass")
-        gone = tuple(name for name in trials.files if name not in {*failing, *trials.not_driven})
+        for number, run in enumerate(runs if failing else (), 1):
+            passing = sum(drive.passes for drive in drives.drive(run).values())
+            say(f"{number} of {len(runs)}: {run.change.name}: {passing} of {len(failing)} pass")
         result = Diagnosis(
-            out,
+            folder,
             asked.results.path,
             asked.planner,
-            tuple(trials.found(name, runs) for name in failing),
-            gone,
-            trials.not_driven,
+            tuple(drives.finding(log, runs) for log in failing),
+            tuple(log for log in drives.files if log not in {*failing, *drives.not_driven}),
+            drives.not_driven,
             runs,
             refused,
-            trials.answers,
+            drives.changed,
             open_loop=asked.failing(Mode.OPEN.value),
         )
         if settings:
-            first = [some[0].log for some in result.clusters() if not some[0].cause.fragile]
-            result = replace(
-                result, remedies=tuple(trials.remedy(log, settings, say) for log in first)
-            )
+            worst = [cluster[0] for cluster in result.clusters()]
+            logs = [finding.log for finding in worst if not finding.cause.fragile]
+            remedies = tuple(drives.remedy(log, settings, say) for log in logs)
+            result = replace(result, remedies=remedies)
         result.write()
     return result
 
 
 class _DiagnosisDrives:
-    """The drives of a diagnosis, change by change; drives in the study file are not repeated."""
+    """The drives of a diagnosis, change by change; drives in the study file are not repeated.
+
+    Attributes:
+        files: The written log of each drive that fails in the run.
+        failing: The drives that fail again; `not_driven` are those that cannot be driven, with the
+            reasons.
+        changed: The drives by change and log.
+    """
 
     def __init__(self, asked: DiagnosisQuestion, out: Path, study: Study, workers: int) -> None:
-        self._asked, self._out, self._study, self._workers = asked, out, study, workers
-        self._drives: dict[str, DriveResult] = {}
+        self._asked, self._out = asked, out
+        self._study, self._workers = study, workers
+        self._traced: dict[str, DriveResult] = {}
         self._logs = asked.results.logs.set_index("log")
-        self.files = {name: self._file(name) for name in asked.failing()}
+        self.files = {log: self._file(log) for log in asked.failing()}
         if study.known(AS_IT_WAS) is None and self.files:
-            lost: dict[str, dict[str, Any]] = {}
-            (out / "logs").mkdir(exist_ok=True)
-            for name, file in self.files.items():
-                try:
-                    scenario = self._scenario(name)
-                except (ConfigError, LogError) as error:  # it was moved, or is damaged
-                    lost[name] = {"gates": [], "lost": str(error)}
-                    continue
-                write_scenario(file, scenario)
-                for control in CONTROLS:
-                    member = list(PERTURBATIONS).index(control) + 1
-                    write_scenario(_control(file, control), perturbed(scenario, member)[1])
-            rows = {name: lost.get(name) or self._base_row(name) for name in self.files}
+            lost = self._write_logs()
+            rows = {log: lost.get(log) or self._drive_as_it_was(log) for log in self.files}
             study.add([{"key": AS_IT_WAS, "drives": rows}])
-        self._base_rows: dict[str, Any] = (study.known(AS_IT_WAS) or {"drives": {}})["drives"]
-        self.failing = [name for name, row in self._base_rows.items() if row["gates"]]
-        self.not_driven = {
-            name: row["lost"] for name, row in self._base_rows.items() if "lost" in row
-        }
-        self.answers: dict[str, dict[str, Any]] = {}
+        rows = (study.known(AS_IT_WAS) or {"drives": {}})["drives"]
+        self.failing = {log: FailingDrive(**row) for log, row in rows.items() if "gates" in row}
+        self.not_driven = {log: row["lost"] for log, row in rows.items() if "lost" in row}
+        self.changed: dict[str, dict[str, ChangedDrive]] = {}
 
-    def _file(self, name: str) -> Path:
+    def _file(self, log: str) -> Path:
         """The path of a written log, by its folder, which is unique.
 
         Names without special characters are not.
         """
-        return self._out / "logs" / f"{self._logs['folder'].astype(str)[name]}.mcap"
+        return self._out / "logs" / f"{self._logs['folder'].astype(str)[log]}.mcap"
 
-    def _scenario(self, name: str) -> Scenario:
+    def _scenario(self, log: str) -> Scenario:
         results = self._asked.results
-        return scenario_of(results.path, self._logs.loc[name].to_dict(), results.run.log)
+        return scenario_of(results.path, self._logs.loc[log].to_dict(), results.run.log)
+
+    def _write_logs(self) -> dict[str, dict[str, Any]]:
+        """Write the logs, each with its perturbations; return the rows of those that cannot be
+        read.
+        """
+        lost: dict[str, dict[str, Any]] = {}
+        (self._out / "logs").mkdir(exist_ok=True)
+        for log, file in self.files.items():
+            try:
+                scenario = self._scenario(log)
+            except (ConfigError, LogError) as error:  # it was moved, or is damaged
+                lost[log] = {"lost": str(error)}
+                continue
+            write_scenario(file, scenario)
+            for control in CONTROLS:
+                member = list(PERTURBATIONS).index(control) + 1
+                write_scenario(control_file(file, control), perturbed(scenario, member)[1])
+        return lost
 
     @cached_property
     def _base(self) -> DrivenLogs:
         """The drives without a change, and with perturbations that should change nothing."""
-        place, planner = self._out / "changes" / AS_IT_WAS, self._asked.planner
+        folder, planner = self._out / "changes" / AS_IT_WAS, self._asked.planner
         if self._study.known(AS_IT_WAS) is not None:
-            return as_driven(load(place), planner)
-        written = [file for file in self.files.values() if file.is_file()]
-        files = [
-            each
-            for file in written
-            for each in (file, *(_control(file, name) for name in CONTROLS))
-        ]
-        return drive_again(files, self._asked.run, planner, place, workers=self._workers)
+            return as_driven(load(folder), planner)
+        files: list[Path] = []
+        for file in self.files.values():
+            if file.is_file():
+                files += [file, *(control_file(file, name) for name in CONTROLS)]
+        return drive_again(files, self._asked.run, planner, folder, workers=self._workers)
 
-    def _base_row(self, name: str) -> dict[str, Any]:
-        made, file = self._base, self.files[name]
-        rows = made.of(file)
-        gates = failed_gates(rows)
-        if rows.empty or file.name not in made.driven:
-            return {"gates": [], "lost": made.ended(file)}
-        if not gates:
-            return {"gates": []}
-        first, gate = rows[rows["gate"] == gates[0]].iloc[0], made.gates[gates[0]]
-        time, beyond = float(first["time_s"]), -gate.margin(float(first["value"]))
-        row = {
-            "gates": list(gates),
-            "metric": gate.metric,
-            "about": made.about(file, gate.metric),
-            "time_s": time if isfinite(time) else None,
-            "beyond": beyond if isfinite(beyond) else None,
-            "end": made.ended(file),
-            "lasted": made.lasted(file),
-            "avoidable": made.avoidable(file),
-            "peaks": made.peaks(file, gates),
-        }
-        row["fragile"] = [
-            one
-            for one in CONTROLS
-            for control in [_control(file, one)]
-            if passes(gates, made.of(control)) and not _is_cut(row, made, control)
-        ]
-        return row
+    def _drive_as_it_was(self, log: str) -> dict[str, Any]:
+        """The row of a drive without a change; empty if it fails no more."""
+        base, file = self._base, self.files[log]
+        if base.verdicts(file).empty or file.name not in base.driven:
+            return {"lost": base.ended(file)}
+        drive = FailingDrive.of(base, file)
+        return {} if drive is None else asdict(drive)
 
-    def _drive_of(self, name: str) -> DriveResult:
+    def _traced_drive(self, log: str) -> DriveResult:
         """The drive without a change; its trace is read once."""
-        if name not in self._drives:
-            self._drives[name] = self._base.drive(self.files[name])
-        return self._drives[name]
+        if log not in self._traced:
+            self._traced[log] = self._base.drive(self.files[log])
+        return self._traced[log]
 
-    def drive(self, run: ChangedRun) -> dict[str, Any]:
-        """Drive the failing drives with a change, and return the results by log, which are also
-        kept in `answers`.
+    def drive(self, run: ChangedRun) -> Mapping[str, ChangedDrive]:
+        """Drive the failing drives with a change, and return them by log; they are also kept in
+        `changed`.
         """
-        row = self._study.row(run.change.name, lambda: {"drives": self._drive_failing(run)})
-        self.answers[run.change.name] = row["drives"]
-        return self.answers[run.change.name]
+        name = run.change.name
+        row = self._study.row(name, lambda: {"drives": self._drive_failing(run)})
+        self.changed[name] = {log: ChangedDrive(**drive) for log, drive in row["drives"].items()}
+        return self.changed[name]
 
     def _drive_failing(self, run: ChangedRun) -> dict[str, dict[str, Any]]:
-        files, place = (
-            [self.files[name] for name in self.failing],
-            self._out / "changes" / run.change.name,
-        )
-        made = drive_again(files, run.run, self._asked.planner, place, workers=self._workers)
-        answers: dict[str, dict[str, Any]] = {}
-        for name, file in zip(self.failing, files, strict=True):
-            against = self._against(name, made)
-            answers[name] = {"passes": against == "", "gates": list(failed_gates(made.of(file)))}
-            answers[name].update(against=against or "", end=made.ended(file), parts={})
-            if answers[name]["passes"]:
-                was, now, until = (
-                    self._drive_of(name),
-                    made.drive(file),
-                    self._base_rows[name]["time_s"],
-                )
-                difference = DriveDifference.of(
-                    was.trace, now.trace, inf if until is None else until
-                )
-                answers[name].update(parts=parting(was, now), difference=asdict(difference))
-                if self._base_rows[name]["metric"].partition(".")[0] in PROGRESS:
-                    answers[name]["pace"] = asdict(RoutePace.of(now.trace.ego, now.scenario))
-        return answers
+        files = [self.files[log] for log in self.failing]
+        folder = self._out / "changes" / run.change.name
+        changed = drive_again(files, run.run, self._asked.planner, folder, workers=self._workers)
+        return {log: asdict(self._changed_drive(log, changed)) for log in self.failing}
 
-    def _against(self, name: str, made: DrivenLogs) -> str | None:
+    def _changed_drive(self, log: str, changed: DrivenLogs) -> ChangedDrive:
+        """A failing drive among those with a change."""
+        base, file = self.failing[log], self.files[log]
+        against = self._against(log, changed)
+        gates, end = failed_gates(changed.verdicts(file)), changed.ended(file)
+        drive = ChangedDrive(against == "", gates, against or "", end, {})
+        if not drive.passes:
+            return drive
+        was, now = self._traced_drive(log), changed.drive(file)
+        until = inf if base.time_s is None else base.time_s
+        pace = RoutePace.of(now.trace.ego, now.scenario) if base.is_about(PROGRESS) else None
+        return replace(
+            drive,
+            parts=parting(was, now),
+            difference=asdict(DriveDifference.of(was.trace, now.trace, until)),
+            pace=None if pace is None else asdict(pace),
+        )
+
+    def _against(self, log: str, changed: DrivenLogs) -> str | None:
         """Why a drive is not mended by a change with which it fails none of its gates; "" if it is;
-        else None.
+        None if it fails one of them.
         """
-        base, file = self._base_rows[name], self.files[name]
-        rows, who = made.of(file), base["about"].partition(" ")[2]
-        if still_failing(base["gates"], rows):
+        base, file = self.failing[log], self.files[log]
+        rows, agent = changed.verdicts(file), base.about.partition(" ")[2]
+        if still_failing(base.gates, rows):
             return None
-        if _is_cut(base, made, file):
-            return f"{made.ended(file)} at {made.lasted(file):.1f} s"
+        if base.is_cut(changed, file):
+            return f"{changed.ended(file)} at {changed.lasted(file):.1f} s"
         if others := failed_gates(rows):
             return f"fails {others[0]}"
-        if peak := worse_peak(base["peaks"], made.peaks(file, base["gates"], base["lasted"])):
+        if peak := worse_peak(base.peaks, changed.peaks(file, base.gates, base.lasted)):
             return f"{peak} is worse"
-        was, now, until = self._drive_of(name), made.drive(file), base["time_s"] or base["lasted"]
-        they, way = (
-            was.scenario.short_names(base["about"]),
-            made_way(was.trace, now.trace, who, until),
-        )
-        if way > FORCED_MPS2:
-            return f"{they} brakes by {way:.1f} m/s² more"
-        reacts = base["metric"].partition(".")[0] in REACTIONS
-        mute = reacts and unseen(was.trace, now.trace, self._scenario(name).tracks, who, until)
-        return f"{they} reacts to nothing" if mute else ""
+        was, now, until = self._traced_drive(log), changed.drive(file), base.time_s or base.lasted
+        name = was.scenario.short_names(base.about)
+        harder_mps2 = made_way(was.trace, now.trace, agent, until)
+        if harder_mps2 > FORCED_MPS2:
+            return f"{name} brakes by {harder_mps2:.1f} m/s² more"
+        if base.is_about(REACTIONS):
+            tracks = self._scenario(log).tracks
+            if unseen(was.trace, now.trace, tracks, agent, until):
+                return f"{name} reacts to nothing"
+        return ""
 
-    def _mended(self, name: str, made: DrivenLogs) -> bool:
-        """Whether a failing drive passes with a change."""
-        return self._against(name, made) == ""
-
-    def found(self, name: str, runs: Sequence[ChangedRun]) -> Found:
+    def finding(self, log: str, runs: Sequence[ChangedRun]) -> DriveFinding:
         """The findings of all changes about a drive."""
-        base, drive = self._base_rows[name], self._drive_of(name)
-        answers = {run.change.name: self.answers[run.change.name][name] for run in runs}
-        passing = tuple(change for change, answer in answers.items() if answer["passes"])
-        almost = {
-            change: str(answer["against"])
-            for change, answer in answers.items()
-            if answer["against"]
-        }
-        cause = cause_of(
-            runs, passing, base["fragile"], avoidable=base["avoidable"] or bool(almost)
-        )
-        shows = answers[cause.changes[0]] if cause.changes else {"parts": {}}
-        difference, parts = DriveDifference(**shows.get("difference", {})), shows["parts"]
-        time, beyond = (nan if base[key] is None else base[key] for key in ("time_s", "beyond"))
-
-        frames, last = drive.trace.frames, float(drive.trace.ego.t[-1])
+        base, drive = self.failing[log], self._traced_drive(log)
+        changed = {run.change.name: self.changed[run.change.name][log] for run in runs}
+        passing = tuple(name for name, answer in changed.items() if answer.passes)
+        almost = {name: answer.against for name, answer in changed.items() if answer.against}
+        cause = cause_of(runs, passing, base.fragile, avoidable=base.avoidable or bool(almost))
+        shows = changed[cause.changes[0]] if cause.changes else None
+        parts = {} if shows is None else shows.parts
         explained = list(accounts(drive.trace, drive.scenario, drive.result.run.drive_loop))
-        at = parts.get("t_s", time)
-        k = _frame_at(frames, at)
-        because = (
-            Explanation.of(frames[k], explained[k], bounds=False).because
-            if frames and isfinite(at)
-            else ()
-        )
-        late = base["metric"].partition(".")[0] in PROGRESS
-        kind, _, agent = base["about"].partition(" ")
-        known = kind in {one.value for one in AgentKind} and agent in drive.trace.agents.ids
-        begun = (
-            None
-            if difference.brakes_s is None or not frames
-            else explained[_frame_at(frames, difference.brakes_s)]
-        )
-        fails = time if isfinite(time) else last
-        seen = (
-            max(fails - AHEAD_S, frames[0].t if frames else 0.0)
-            if difference.would_brake_s is None
-            else difference.would_brake_s
-        )
-        failure = DriveFailure(
-            base["gates"][0],
-            base["metric"],
-            drive.scenario.short_names(base["about"]) if known else "",
-            lane_change(drive.trace, fails),
-            difference,
-            begun is not None and any(one.who == agent for one in begun.causes),
-            Foresight.of(drive.trace, agent, seen) if known else Foresight(),
-            GoalMiss.of(drive.trace, drive.scenario) if late else None,
-        )
-        first = drive.scenario.short_names(because[0]) if because else ""
-        slow: list[Wait] = []
-        pace = (
-            RoutePace(**shows["pace"])
-            if "pace" in shows
-            else RoutePace.needed(drive.scenario)
-            if late
-            else None
-        )
-        if pace is not None:
-            lost, wanted = pace.lost(drive.trace.ego, drive.scenario, [frame.t for frame in frames])
-            loop = drive.result.run.drive_loop
-            slow = waits(
-                list(accounts(drive.trace, drive.scenario, loop, wanted=wanted)), lost.tolist()
-            )
-        slow = [replace(one, who=drive.scenario.short_names(one.who)) for one in slow]
-        return Found(
-            name,
-            tuple(base["gates"]),
-            time,
-            beyond,
+        return DriveFinding(
+            log,
+            tuple(base.gates),
+            nan if base.time_s is None else base.time_s,
+            nan if base.beyond is None else base.beyond,
             cause,
-            failure,
+            _failure(base, drive, shows, explained),
             parts,
-            first,
+            _reason_to_slow(drive, parts.get("t_s", base.time_s), explained),
             passing,
-            tuple(slow),
+            _waits(base, drive, shows),
             almost,
         )
 
-    def remedy(self, name: str, settings: Sequence[Setting], say: Callable[[str], None]) -> Remedy:
+    def remedy(self, log: str, settings: Sequence[Setting], say: Callable[[str], None]) -> Remedy:
         """The smallest change of a setting with which a drive passes, and its effect on the other
         drives.
         """
-        file = self.files[name]
+        file = self.files[log]
 
-        def drives(setting: Setting, value: Value, files: Sequence[Path]) -> DrivenLogs:
+        def drive_with(setting: Setting, value: Value, files: Sequence[Path]) -> DrivenLogs:
             shutil.rmtree(scratch, ignore_errors=True)
             run = with_values(self._asked.run, {setting.path: value})
             return drive_again(files, run, self._asked.planner, scratch, workers=self._workers)
 
-        def mends(setting: Setting, value: Value) -> bool:
-            key = f"{name}: {setting.key} = {value!r}"
-            row = self._study.row(
-                key, lambda: {"passes": self._mended(name, drives(setting, value, [file]))}
-            )
-            say(
-                f"{name}: {'passes' if row['passes'] else 'fails'} with {setting.key} = "
-                f"{shown(value)}"
-            )
-            return bool(row["passes"])
+        def passes(setting: Setting, value: Value) -> bool:
+            def row() -> dict[str, Any]:
+                return {"passes": self._against(log, drive_with(setting, value, [file])) == ""}
 
-        def everywhere(setting: Setting, value: Value) -> dict[str, Any]:
-            """The effect of a change on the drives of the run that can be driven."""
-            files = {}
-            for log in map(str, self._logs.index[self._logs["sha256"] != ""]):
-                place = self._file(log)
-                try:
-                    if not place.is_file():
-                        write_scenario(place, self._scenario(log))
-                except (ConfigError, LogError):
-                    continue  # the log cannot be read
-                if log not in self.not_driven:
-                    files[log] = place
-            made = drives(setting, value, list(files.values()))
-            rows = {log: made.of(place) for log, place in files.items()}
-            mended = [log for log in self.failing if log in files and self._mended(log, made)]
-            lost = [log for log, mine in rows.items() if mine.empty or failed_gates(mine)]
-            broken = [log for log in lost if log not in self.failing]
-            return {"mended": sorted(mended), "broken": sorted(broken), "drives": len(files)}
+            mended: bool = self._study.row(f"{log}: {setting.key} = {value!r}", row)["passes"]
+            outcome = "passes" if mended else "fails"
+            say(f"{log}: {outcome} with {setting.key} = {shown(value)}")
+            return mended
 
         with scratch_folder(self._out, "remedy") as scratch:
-            found = smallest_change(settings, mends)
-            if found is None:
-                return Remedy(name)
-            setting, value, u = found
-            row = self._study.row(
-                f"all logs: {setting.key} = {value!r}", lambda: everywhere(setting, value)
-            )
+            change = smallest_change(settings, passes)
+            if change is None:
+                return Remedy(log)
+            setting, value, u = change
+
+            def effect() -> dict[str, Any]:
+                files = self._drivable_files()
+                return self._effect(drive_with(setting, value, list(files.values())), files)
+
+            row = self._study.row(f"all logs: {setting.key} = {value!r}", effect)
         mended, broken = tuple(row["mended"]), tuple(row["broken"])
-        return Remedy(name, setting.key, setting.default, value, u, mended, broken, row["drives"])
+        return Remedy(log, setting.key, setting.default, value, u, mended, broken, row["drives"])
+
+    def _drivable_files(self) -> dict[str, Path]:
+        """The files of the logs of the run that can be driven, written where they are not yet."""
+        files = {}
+        for log in map(str, self._logs.index[self._logs["sha256"] != ""]):
+            file = self._file(log)
+            try:
+                if not file.is_file():
+                    write_scenario(file, self._scenario(log))
+            except (ConfigError, LogError):
+                continue  # the log cannot be read
+            if log not in self.not_driven:
+                files[log] = file
+        return files
+
+    def _effect(self, changed: DrivenLogs, files: Mapping[str, Path]) -> dict[str, Any]:
+        """The effect of a change on the drives of the run."""
+        mended = [log for log in self.failing if log in files and self._against(log, changed) == ""]
+        broken = []
+        for log, file in files.items():
+            rows = changed.verdicts(file)
+            if log not in self.failing and (rows.empty or failed_gates(rows)):
+                broken.append(log)
+        return {"mended": sorted(mended), "broken": sorted(broken), "drives": len(files)}
 
 
-def _is_cut(base: Mapping[str, Any], made: DrivenLogs, file: Path) -> bool:
-    """Whether a drive ended too early to be compared with the failing one, of which `base` is the
-    row.
+def _failure(
+    base: FailingDrive,
+    drive: DriveResult,
+    shows: ChangedDrive | None,
+    explained: Sequence[Account],
+) -> DriveFailure:
+    """The failure of a drive.
+
+    `shows` is the passing drive that points to the cause, `explained` the account of each frame.
     """
-    until = base["lasted"] if base["time_s"] is None else base["time_s"]
-    return cut_short(base["end"], until, made.ended(file), made.lasted(file))
+    trace, scenario = drive.trace, drive.scenario
+    difference = DriveDifference()
+    if shows is not None and shows.difference is not None:
+        difference = DriveDifference(**shows.difference)
+    fails = float(trace.ego.t[-1]) if base.time_s is None else base.time_s
+    kind, _, agent = base.about.partition(" ")
+    kinds = {agent_kind.value for agent_kind in AgentKind}
+    is_agent = kind in kinds and agent in trace.agents.ids
+    brakes_for = False
+    if difference.brakes_s is not None and trace.frames:
+        causes = explained[_frame_at(trace.frames, difference.brakes_s)].causes
+        brakes_for = any(cause.who == agent for cause in causes)
+    looks = difference.would_brake_s
+    if looks is None:
+        looks = max(fails - AHEAD_S, trace.frames[0].t if trace.frames else 0.0)
+    return DriveFailure(
+        base.gates[0],
+        base.metric,
+        scenario.short_names(base.about) if is_agent else "",
+        lane_change(trace, fails),
+        difference,
+        brakes_for,
+        Foresight.of(trace, agent, looks) if is_agent else Foresight(),
+        GoalMiss.of(trace, scenario) if base.is_about(PROGRESS) else None,
+    )
 
 
-def _control(file: Path, name: str) -> Path:
-    """The log with a perturbation."""
-    return file.with_suffix(f".{name}.mcap")
+def _reason_to_slow(drive: DriveResult, time: float | None, explained: Sequence[Account]) -> str:
+    """Why the plan at a time is not as fast as it could be; "" if unknown."""
+    frames = drive.trace.frames
+    if not frames or time is None:
+        return ""
+    k = _frame_at(frames, time)
+    because = Explanation.of(frames[k], explained[k], bounds=False).because
+    return drive.scenario.short_names(because[0]) if because else ""
 
 
-def _frame_at(frames: Sequence[PlannedFrame], at: float) -> int:
+def _waits(base: FailingDrive, drive: DriveResult, shows: ChangedDrive | None) -> tuple[Wait, ...]:
+    """The time that a drive loses, by cause, if it gets too little far."""
+    trace, scenario = drive.trace, drive.scenario
+    pace = RoutePace.needed(scenario) if base.is_about(PROGRESS) else None
+    if shows is not None and shows.pace is not None:
+        pace = RoutePace(**shows.pace)
+    if pace is None:
+        return ()
+    lost, speeds = pace.lost(trace.ego, scenario, [frame.t for frame in trace.frames])
+    loop = drive.result.run.drive_loop
+    by_cause = waits(list(accounts(trace, scenario, loop, wanted=speeds)), lost.tolist())
+    return tuple(replace(wait, who=scenario.short_names(wait.who)) for wait in by_cause)
+
+
+def _frame_at(frames: Sequence[PlannedFrame], time: float) -> int:
     """The index of the last frame that is not later than a time, at least 0."""
-    return max(int(np.searchsorted([frame.t for frame in frames], at + 1e-6, side="right")) - 1, 0)
+    times = [frame.t for frame in frames]
+    return max(int(np.searchsorted(times, time + 1e-6, side="right")) - 1, 0)

@@ -45,6 +45,10 @@ WORSE = 0.1
 CUT = tuple(end.value for end in GRAVE)
 """Ends that leave open what the rest of a drive would have been."""
 COLUMNS = ("drive", "gate", "outcome", "value", "time_s", "reason")
+CONTROLS = ("tiny", "start", "noise")
+"""Perturbations (`replan.run.ensemble`) with which a drive must also fail, so that a change is
+conclusive.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +67,7 @@ class DrivenLogs:
     gates: Mapping[str, Gate]
     outcomes: pd.DataFrame
 
-    def of(self, file: Path) -> pd.DataFrame:
+    def verdicts(self, file: Path) -> pd.DataFrame:
         """The rows of a drive."""
         return self.outcomes[self.outcomes["drive"] == file.name]
 
@@ -85,9 +89,9 @@ class DrivenLogs:
         """The end of a drive, or the reason why it was not driven."""
         name = self.names.get(file.name, file.name)
         rows = self.results.drives
-        mine = rows[(rows["log"] == name) & (rows["planner"] == self.planner)]
-        if len(mine):
-            return str(mine["end"].iloc[0])
+        ends = rows.loc[(rows["log"] == name) & (rows["planner"] == self.planner), "end"]
+        if len(ends):
+            return str(ends.iloc[0])
         failures = self.results.failures
         messages = failures.loc[failures["log"].isin([name, str(file)]), "message"]
         return str(messages.iloc[0]) if len(messages) else "not driven"
@@ -102,20 +106,16 @@ class DrivenLogs:
 
         An extreme after `until`, s, is left out.
         """
-        words, trial, found = (
-            {self.gates[gate].metric.partition(".")[0] for gate in gates},
-            self.trial(file),
-            {},
-        )
-        rows = trial.metrics[
-            (trial.metrics["planner"] == self.planner) & ~(trial.metrics["time_s"] > until + TIE)
-        ]
+        asked = {self.gates[gate].metric.partition(".")[0] for gate in gates}
+        rows = self.trial(file).metrics
+        rows = rows[(rows["planner"] == self.planner) & ~(rows["time_s"] > until + TIE)]
+        peaks = {}
         for name, value in zip(rows["metric"], rows["value"].astype(float), strict=True):
             word, _, reduction = name.partition(".")
-            metric = METRICS.get(word) if word in words and isfinite(value) else None
+            metric = METRICS.get(word) if word in asked and isfinite(value) else None
             if metric is not None and PEAKS.get(reduction, metric.direction) != metric.direction:
-                found[name] = value
-        return found
+                peaks[name] = value
+        return peaks
 
     def about(self, file: Path, metric: str) -> str:
         """The road user or object that the value of a metric is about: "pedestrian 17"; "" if it is
@@ -143,13 +143,12 @@ def as_driven(results: Results, planner: str) -> DrivenLogs:
     files = (Path(source).name for source in results.logs["source"])
     names = dict(zip(files, results.logs["log"], strict=True))
     gates = gates_of(run, run.gates_path)
-    asked = tuple(
+    rules = tuple(
         replace(gate, planner=None) for gate in gates.gates if gate.planner in (None, planner)
     )
-    rules = {str(gate): gate for gate in asked}
-    return DrivenLogs(
-        results, names, run.planners[0], rules, judged(results, names, replace(gates, gates=asked))
-    )
+    outcomes = judged(results, names, replace(gates, gates=rules))
+    by_rule = {str(gate): gate for gate in rules}
+    return DrivenLogs(results, names, run.planners[0], by_rule, outcomes)
 
 
 def judged(results: Results, names: Mapping[str, str], rules: Gates) -> pd.DataFrame:
@@ -159,7 +158,7 @@ def judged(results: Results, names: Mapping[str, str], rules: Gates) -> pd.DataF
     planner = results.run.planners[0]
     crashes = results.failures.dropna(subset=["planner", "mode"])
     columns = (crashes[name].astype(str) for name in ("log", "planner", "mode", "message"))
-    crashed = {(log, who, mode): why for log, who, mode, why in zip(*columns, strict=True)}
+    crashed = {tuple(drive): message for *drive, message in zip(*columns, strict=True)}
     table = with_asked(results.measured.assign(oracle=False), rules, results.labels)
     unread = dict.fromkeys(results.unread, "not read")
     rows = outcomes(judge(rules, table, results.labels, failed=unread, crashed=crashed))
@@ -192,11 +191,11 @@ def worse_peak(before: Mapping[str, float], now: Mapping[str, float]) -> str:
     """The first peak (`DrivenLogs.peaks`) that is farther out than before by `WORSE` of it; "" if
     none is.
     """
-    out = {name: now[name] - value for name, value in before.items() if name in now}
-    signs = {name: -1.0 if name.endswith(".min") else 1.0 for name in out}
-    return next(
-        (name for name in out if signs[name] * out[name] > WORSE * abs(before[name]) + TIE), ""
-    )
+    for name, value in before.items():
+        outward = -1.0 if name.endswith(".min") else 1.0
+        if name in now and outward * (now[name] - value) > WORSE * abs(value) + TIE:
+            return name
+    return ""
 
 
 def cut_short(before: str, until: float, now: str, lasted: float) -> bool:
@@ -208,18 +207,112 @@ def cut_short(before: str, until: float, now: str, lasted: float) -> bool:
     return now in CUT and (before not in CUT or lasted < until)
 
 
-def parting(one: DriveResult, two: DriveResult) -> dict[str, Any]:
+def parting(failing: DriveResult, passing: DriveResult) -> dict[str, Any]:
     """The first difference of two drives: time (s), stage and description.
 
     Empty if there is none.
     """
-    part = first_difference if one.planner == two.planner else planners_part
+    part = first_difference if failing.planner == passing.planner else planners_part
     try:
-        found = part(one.trace, two.trace)
+        difference = part(failing.trace, passing.trace)
     except LogError as error:
         return {"stage": "not known", "what": f"a trace cannot be read: {error}"}
-    return (
-        {}
-        if found is None
-        else {"t_s": float(np.round(found.t, 9)), "stage": found.stage, "what": found.what}
-    )
+    if difference is None:
+        return {}
+    return {
+        "t_s": float(np.round(difference.t, 9)),
+        "stage": difference.stage,
+        "what": difference.what,
+    }
+
+
+@dataclass(frozen=True)
+class FailingDrive:
+    """A drive that fails as it was: a row of the study.
+
+    Attributes:
+        gates: The gates that it fails; `metric` is that of the first one, `about` the road user or
+            object that its value is about.
+        time_s: Time at which it fails the first of them; None if unknown.
+        beyond: Excess over the bound of that gate; None if unknown.
+        end: How the drive ended; `lasted` is when, s.
+        avoidable: Whether the careful driver avoids its contact, or there is none.
+        peaks: `DrivenLogs.peaks` of the gates.
+        fragile: The `CONTROLS` with which it passes.
+    """
+
+    gates: Sequence[str]
+    metric: str
+    about: str
+    time_s: float | None
+    beyond: float | None
+    end: str
+    lasted: float
+    avoidable: bool
+    peaks: Mapping[str, float]
+    fragile: Sequence[str] = ()
+
+    @classmethod
+    def of(cls, driven: DrivenLogs, file: Path) -> FailingDrive | None:
+        """The drive of a log's file, among which are those with the `CONTROLS`; None if it fails no
+        gate.
+        """
+        rows = driven.verdicts(file)
+        gates = failed_gates(rows)
+        if not gates:
+            return None
+        first, gate = rows[rows["gate"] == gates[0]].iloc[0], driven.gates[gates[0]]
+        time, beyond = float(first["time_s"]), -gate.margin(float(first["value"]))
+        drive = cls(
+            gates,
+            gate.metric,
+            driven.about(file, gate.metric),
+            time if isfinite(time) else None,
+            beyond if isfinite(beyond) else None,
+            driven.ended(file),
+            driven.lasted(file),
+            driven.avoidable(file),
+            driven.peaks(file, gates),
+        )
+        fragile = []
+        for name in CONTROLS:
+            control = control_file(file, name)
+            if passes(gates, driven.verdicts(control)) and not drive.is_cut(driven, control):
+                fragile.append(name)
+        return replace(drive, fragile=fragile)
+
+    def is_about(self, metrics: Sequence[str]) -> bool:
+        """Whether the first gate is of one of these metrics."""
+        return self.metric.partition(".")[0] in metrics
+
+    def is_cut(self, driven: DrivenLogs, file: Path) -> bool:
+        """Whether the drive of a file of the log ended too early to be compared with this one."""
+        until = self.lasted if self.time_s is None else self.time_s
+        return cut_short(self.end, until, driven.ended(file), driven.lasted(file))
+
+
+@dataclass(frozen=True)
+class ChangedDrive:
+    """A failing drive that is driven with a change: a row of the study.
+
+    Attributes:
+        gates: The gates that it fails.
+        against: Why it is not mended although it fails none of the gates that it failed before.
+        parts: The first difference from the failing drive, if it passes (`parting`).
+        difference: The fields of `replan.experiments.failure.DriveDifference`, if it passes.
+        pace: The fields of `replan.metrics.route_gain.RoutePace`, if it passes and the gate is
+            about progress.
+    """
+
+    passes: bool
+    gates: Sequence[str]
+    against: str
+    end: str
+    parts: Mapping[str, Any]
+    difference: Mapping[str, Any] | None = None
+    pace: Mapping[str, Any] | None = None
+
+
+def control_file(file: Path, name: str) -> Path:
+    """The log with a perturbation."""
+    return file.with_suffix(f".{name}.mcap")

@@ -60,21 +60,21 @@ def surface_figure(
     for row, (_, cell) in zip(
         cells[y.name] if y else [0.0] * len(cells), cells.iterrows(), strict=True
     ):
-        at, (letter, colour, _) = float(cell[x.name]), CELLS[cell["outcome"]]
-        box = (at - half_x, at + half_x), (row - half_y, row + half_y)
+        column, (letter, colour, _) = float(cell[x.name]), CELLS[cell["outcome"]]
+        box = (column - half_x, column + half_x), (row - half_y, row + half_y)
         inside += plane.box(*box, colour, str(cell["gates"]), SHADE, 0.5)
         gap = f" {cell['least_gap_m']:.1f}" if np.isfinite(cell["least_gap_m"]) else ""
         warned = " !" if cell["careful"] == "unavoidable" else ""
         gate = cell["gates"].partition(".")[0].rpartition(" ")[2]
-        said = f"{letter}{gap}{' x' if cell['contact'] else ''}{warned}"
-        over += plane.words(at, row, said, "mid", -2.0 if gate else 4.0) + plane.words(
-            at, row, gate, "small mid", 11.0
-        )
+        contact = " x" if cell["contact"] else ""
+        text = f"{letter}{gap}{contact}{warned}"
+        over += plane.words(column, row, text, "mid", -2.0 if gate else 4.0)
+        over += plane.words(column, row, gate, "small mid", 11.0)
     for edge in edges:
         row = edge.row[0] if edge.row else 0.0
-        both = np.array([row - half_y, row + half_y])
-        inside += plane.box((edge.low, edge.high), (row - half_y, row + half_y), "band")
-        inside += plane.line(np.full(2, edge.middle), both, "bound")
+        ends = row - half_y, row + half_y
+        inside += plane.box((edge.low, edge.high), ends, "band")
+        inside += plane.line(np.full(2, edge.middle), np.array(ends), "bound")
     point = _recorded_point(question)
     if point is not None:
         over += dot(float(plane.at_x(point[0])), float(plane.at_y((*point, 0.0)[1])), 21.0, "ring")
@@ -131,18 +131,17 @@ def falsify_figure(
         axes, key=lambda axis: -abs(case.get(axis.name, axis.origin) - axis.origin) / axis.scale
     )
     first, second = by_step[0], by_step[1] if len(by_step) > 1 else None
-    y = widened(second.low, second.high, 0.0, 0.03) if second else (-1.0, 1.0)
-    plane = Plane(
-        widened(first.low, first.high, 0.0, 0.03), y, WIDE_PX, HIGH_PX if second else 180.0
-    )
+    x_span = widened(first.low, first.high, 0.0, 0.03)
+    y_span = widened(second.low, second.high, 0.0, 0.03) if second else (-1.0, 1.0)
+    plane = Plane(x_span, y_span, WIDE_PX, HIGH_PX if second else 180.0)
     entries, inside, over = list[Entry](), "", ""
     for name, (sign, colour, meaning) in POINTS.items():
-        mine = table[table["outcome"] == name]
-        across = mine[second.name] if second else [0.0] * len(mine)
+        points = table[table["outcome"] == name]
+        across = points[second.name] if second else [0.0] * len(points)
         inside += "".join(
-            plane.sign(*at, sign, colour) for at in zip(mine[first.name], across, strict=True)
+            plane.sign(x, y, sign, colour) for x, y in zip(points[first.name], across, strict=True)
         )
-        entries += [(sign, colour, f"{meaning} ({len(mine)})")] if len(mine) else []
+        entries += [(sign, colour, f"{meaning} ({len(points)})")] if len(points) else []
     over += _ring(plane, first.origin, second.origin if second else 0.0)
     entries.append((RING, "", "as recorded"))
     if case:
@@ -155,7 +154,7 @@ def falsify_figure(
             entries.append(("line", "now", "as far as that"))
         else:
             for end in (first.origin - first.scale * away, first.origin + first.scale * away):
-                inside += plane.line(np.full(2, end), np.array(y), "now")
+                inside += plane.line(np.full(2, end), np.array(y_span), "now")
     titles = dict[str, Any](x_title=first.label, y_title=second.label if second else "")
     return plane.chart(
         "falsify",
@@ -187,7 +186,7 @@ def pareto_figure(
     spans = [widened(min([0.0, *shown[name]]), max([0.0, *shown[name]]), 1e-3) for name in (x, y)]
     plane = Plane(spans[0], spans[1], WIDE_PX, HIGH_PX)
     entries, inside, over = list[Entry](), "", ""
-    for name, mine, sign, colour in (
+    for name, selected, sign, colour in (
         ("feasible", table["feasible"] & ~table["pareto"], "\u25cf", "blue"),
         (
             "fails more gates than the defaults",
@@ -197,12 +196,10 @@ def pareto_figure(
         ),
         ("no other trial is better in all objectives", table["pareto"], "\u25c6", "red"),
     ):
-        if mine.any():
-            inside += "".join(
-                plane.sign(*at, sign, colour)
-                for at in zip(table[x][mine], table[y][mine], strict=True)
-            )
-            entries.append((sign, colour, f"{name} ({mine.sum()})"))
+        if selected.any():
+            points = zip(table[x][selected], table[y][selected], strict=True)
+            inside += "".join(plane.sign(*point, sign, colour) for point in points)
+            entries.append((sign, colour, f"{name} ({selected.sum()})"))
     if len(names) == 2:
         front = table[table["pareto"]].sort_values([x, y], kind="stable")
         inside += plane.line(front[x].to_numpy(float), front[y].to_numpy(float), "edge")

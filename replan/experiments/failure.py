@@ -1,4 +1,5 @@
-"""Describes a failing drive in words that are made only of its numbers.
+"""A failing drive in numbers: its difference from a drive that passes, what was seen and predicted,
+where it misses its goal, to what it loses time; and the sentence of these (`failure_words`).
 
 F is the failing drive, P the one that passes with the change that points to the cause. Both are
 compared up to t_x, when the first gate fails, or the end of the shorter one.
@@ -12,7 +13,7 @@ compared up to t_x, when the first gate fails, or the end of the shorter one.
 (4) late       = t_F - t_P >= LATE_S; no t_F at all: F does not brake.
         Asked where F is APART_M ahead of P at t_x
 (5) left       = how far P's path is to the left of F's place at t_x; asked where (4) is not
-(6) predicted  = way of the most probable future of the road user in F's frame at t_P,
+(6) predicted  = distance in the most probable future of the road user in F's frame at t_P,
         else AHEAD_S before t_x, up to
                  the last predicted time that their track reaches, at most AHEAD_S;
                      moved = as they move in F
@@ -31,12 +32,13 @@ from math import hypot, inf
 import numpy as np
 
 from replan.core.arrays import FloatArray
+from replan.experiments.failure_words import BRAKING, OUTCOMES, ROAD_USER, Fault
 from replan.explain.causes import KEEP, Account, CauseKind
 from replan.explain.explanation import lane_options, taken_option
 from replan.explain.sentences import NAMES
 from replan.logs.scenario import Scenario
 from replan.logs.states import EgoState, Trajectory
-from replan.logs.trace import EndReason, Trace
+from replan.logs.trace import EndReason, PlannedFrame, Trace
 
 BRAKES_MPS2, WEAKER_MPS2, MOVES_MPS = -0.5, 0.5, 0.1
 APART_MPS, APART_M, LATE_S = 0.5, 0.3, 0.2
@@ -53,60 +55,13 @@ lane change).
 """
 REACTIONS = ("forced_braking", "braked_behind")
 """Metrics of what road users behind the ego do because of it."""
-SOMEONE = "a road user"
-BRAKES = ("does not brake", "brakes late", "brakes too weakly")
-OUTCOMES = {
-    "collision_at_fault": "collides with {}",
-    "collision": "collides with {}",
-    "gap_kept": "comes too near to {}",
-    "gap_kept_vulnerable": "comes too near to {}",
-    "passing_room": "passes {} too closely",
-    "ttc": "comes close to a collision with {}",
-    "ttc_vulnerable": "comes close to a collision with {}",
-    "thw": "follows {} too closely",
-    "forced_braking": "forces {} to brake",
-    "braked_behind": "brakes for nothing before {}",
-    "priority_gap": "leaves too little time to {}",
-    "yielding": "crosses too shortly before {}",
-    "crosswalk": "does not let {} go first at a crosswalk",
-    "completed": "does not drive to the end",
-    "goal": "does not reach the goal",
-    "route_progress": "makes too little progress",
-    "off_road": "leaves the road",
-    "wrong_way": "drives against the direction of a lane",
-    "lane_line": "straddles the line of its lane",
-    "speed_excess": "exceeds the speed limit",
-    "assumed_limit_excess": "exceeds the assumed speed limit",
-    "red_light": "runs a red light",
-    "yellow_light": "runs a yellow light at which it could have stopped",
-    "stop_sign": "does not stop at a stop sign",
-    "needless_braking": "brakes where nothing ahead calls for it",
-    "needless_standing": "stands although the road is free",
-    "needless_steering": "weaves where nothing calls for it",
-    "needless_lane_change": "changes lanes where nothing calls for it",
-    "lane_offset": "keeps beside the middle of its lane",
-    "speed_swing": "swings its speed where nothing calls for it",
-    "lon_accel": "accelerates or brakes too hard",
-    "lat_accel": "takes a curve too fast",
-    "curve_accel": "takes a curve too fast",
-    "lon_jerk_nuplan": "accelerates or brakes too abruptly",
-    "lat_jerk_r79": "steers too abruptly",
-    "pedals_together": "uses both pedals at once",
-    "tracking_lateral": "leaves its planned path",
-    "tracking_speed": "does not keep its planned speed",
-    "fallback": "lives on fallback plans",
-    "plan_refused": "makes plans that cannot be driven",
-    "plan_corrected": "makes plans that contradict themselves",
-    "plan_complete": "makes plans that are too short",
-    "plan_collision": "plans to collide with {}",
-    "plan_off_road": "plans to leave the road",
-    "plan_change": "changes its plans too much",
-    "plan_change_lateral": "changes its plans too much to the side",
-    "plan_kept": "does not do what it planned",
-    "plan_kept_lateral": "does not drive where it planned",
-    "plan_score": "makes plans of a low score",
-}
-"""The meaning of a broken gate, by the first part of its metric; {} is the road user."""
+PROGRESS = ("goal", "route_progress")
+"""Metrics of how far a drive gets."""
+FEW_S = 0.05
+"""Less lost time than this is not listed."""
+MISSED_STEPS = 500
+"""Largest number of states at which a miss of the goal is measured."""
+NO_CAUSE = "nothing found in its way"
 
 
 @dataclass(frozen=True)
@@ -133,65 +88,92 @@ class DriveDifference:
         """Compare two drives of one log up to a time (inf: to the end of the shorter)."""
         f, p = failing.ego, passing.ego
         last = min(until, float(f.t[-1]), float(p.t[-1]))
-        at = f.at(last)
-        along, across = _relative(at, p.x, p.y)
-        near = int(np.argmin(np.hypot(along, across)))
-        left = float(across[near]) if abs(along[near]) <= APART_M else 0.0  # (5)
-        then = p.at(last)
-        ahead = -float(_relative(at, then.x, then.y)[0])
-        t = f.t[f.t <= last + SAME_S]
-        slower = np.flatnonzero(f.v[: len(t)] - np.interp(t, p.t, p.v) > APART_MPS)
-        would = does = None
+        state = f.at(last)
+        along, across = _relative(state, p.x, p.y)
+        nearest = int(np.argmin(np.hypot(along, across)))
+        left = float(across[nearest]) if abs(along[nearest]) <= APART_M else 0.0  # (5)
+        other = p.at(last)
+        ahead = -float(_relative(state, other.x, other.y)[0])
+        brakes = would_brake = None
         hardest = [0.0, 0.0]
-        if len(slower):
-            gaps = np.flatnonzero(np.diff(slower) > 1)
-            since = float(t[slower[gaps[-1] + 1 if len(gaps) else 0]])  # (1)
-            would = _braking(p, since, last)
-        if would is not None:
-            does = _braking(f, would, inf)  # (3)
-            hardest = [
-                float(d.a[(d.t >= would) & (d.t <= last + SAME_S)].min(initial=0.0)) for d in (f, p)
-            ]
-        numbers = (ahead, left, does, would, *hardest)
-        return cls(*(None if one is None else round(one, 6) for one in numbers))  # type: ignore[arg-type]
+        since = _begin_of_lead(f, p, last)
+        if since is not None:
+            would_brake = _begin_of_braking(p, since, last)
+        if would_brake is not None:
+            brakes = _begin_of_braking(f, would_brake, inf)  # (3)
+            hardest = [_hardest_braking(ego, would_brake, last) for ego in (f, p)]
+        return cls(
+            round(ahead, 6),
+            round(left, 6),
+            None if brakes is None else round(brakes, 6),
+            None if would_brake is None else round(would_brake, 6),
+            *(round(accel, 6) for accel in hardest),
+        )
 
     @property
-    def behaviour(self) -> tuple[str, str]:
-        """The difference of F from P in words, and the numbers; empty if nothing is known."""
-        does, would = self.brakes_s, self.would_brake_s
-        if would is not None and self.ahead_m > APART_M:
-            if does is None:
-                return BRAKES[0], f"does not brake, instead of braking at {would:.1f} s"
-            if does - would >= LATE_S:  # (4)
-                return BRAKES[1], f"brakes at {does:.1f} s instead of {would:.1f} s"
+    def fault(self) -> Fault:
+        """How F differs from P; NONE if nothing is known."""
+        brakes, would_brake = self.brakes_s, self.would_brake_s
+        if would_brake is not None and self.ahead_m > APART_M:
+            if brakes is None:
+                return Fault.DOES_NOT_BRAKE
+            if brakes - would_brake >= LATE_S:  # (4)
+                return Fault.BRAKES_LATE
             if self.hardest_mps2 - self.would_hardest_mps2 > WEAKER_MPS2:
-                hardest, needed = -self.hardest_mps2, -self.would_hardest_mps2
-                return BRAKES[2], f"brakes with {hardest:.1f} m/s² instead of {needed:.1f} m/s²"
-        if abs(self.left_m) > APART_M:  # (5)
-            side = "right" if self.left_m > 0.0 else "left"
-            return (
-                f"keeps too far {side}",
-                f"drives {abs(self.left_m):.1f} m to the {side} of where it passes",
-            )
-        return "", ""
+                return Fault.BRAKES_WEAKLY
+        if self.aside_m > APART_M:  # (5)
+            return Fault.KEEPS_RIGHT if self.left_m > 0.0 else Fault.KEEPS_LEFT
+        return Fault.NONE
+
+    @property
+    def braking_mps2(self) -> float:
+        """How hard F brakes."""
+        return -self.hardest_mps2
+
+    @property
+    def would_braking_mps2(self) -> float:
+        """How hard P brakes."""
+        return -self.would_hardest_mps2
+
+    @property
+    def aside_m(self) -> float:
+        """How far F is beside P."""
+        return abs(self.left_m)
 
 
-def _relative(
-    ego: EgoState, x: float | FloatArray, y: float | FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Places in the frame of an ego: ahead and to the left, m."""
-    dx, dy, c, sn = x - ego.x, y - ego.y, np.cos(ego.yaw), np.sin(ego.yaw)
-    return np.asarray(dx * c + dy * sn), np.asarray(dy * c - dx * sn)
+def _begin_of_lead(failing: Trajectory, passing: Trajectory, last: float) -> float | None:
+    """(1); None if the drive that passes is never slower."""
+    t = failing.t[failing.t <= last + SAME_S]
+    faster = failing.v[: len(t)] - np.interp(t, passing.t, passing.v) > APART_MPS
+    steps = np.flatnonzero(faster)
+    if not len(steps):
+        return None
+    gaps = np.flatnonzero(np.diff(steps) > 1)
+    return float(t[steps[gaps[-1] + 1 if len(gaps) else 0]])
 
 
-def _braking(ego: Trajectory, since: float, until: float) -> float | None:
-    """The time (2) of the first braking, up to a time."""
+def _begin_of_braking(ego: Trajectory, since: float, until: float) -> float | None:
+    """(2), up to a time."""
     brakes = (ego.a <= BRAKES_MPS2) & (ego.v > MOVES_MPS)
     later = np.flatnonzero(brakes & (ego.t >= since - SAME_S) & (ego.t <= until + SAME_S))
     if not len(later):
         return None
     before = np.flatnonzero(~brakes[: later[0]])
     return float(ego.t[before[-1] + 1 if len(before) else 0])
+
+
+def _hardest_braking(ego: Trajectory, since: float, until: float) -> float:
+    """The least acceleration between two times, at most 0, m/s2."""
+    return float(ego.a[(ego.t >= since) & (ego.t <= until + SAME_S)].min(initial=0.0))
+
+
+def _relative(
+    ego: EgoState, x: float | FloatArray, y: float | FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Places in the frame of an ego: ahead and to the left, m."""
+    dx, dy = x - ego.x, y - ego.y
+    cos, sin = np.cos(ego.yaw), np.sin(ego.yaw)
+    return np.asarray(dx * cos + dy * sin), np.asarray(dy * cos - dx * sin)
 
 
 @dataclass(frozen=True)
@@ -216,71 +198,48 @@ class Foresight:
     off_m: float = 0.0
 
     @classmethod
-    def of(cls, trace: Trace, who: str, at: float) -> Foresight:
+    def of(cls, trace: Trace, agent: str, time: float) -> Foresight:
         """The perception and prediction of a road user of the trace in the frame at a time."""
-        frame = next((one for one in reversed(trace.frames) if one.t <= at + SAME_S), None)
-        if frame is None or who not in trace.agents.ids or frame.predictions is None:
+        frame = _frame_at(trace, time + SAME_S)
+        if frame is None or agent not in trace.agents.ids or frame.predictions is None:
             return cls()
         now = trace.agents.truth(frame.t)
-        if who not in now.ids:
+        if agent not in now.ids:
             return cls()
-        if who not in frame.agents:
+        if agent not in frame.agents:
             return cls(frame.t, False)
-        some, track = frame.predictions, trace.agents.only([who])
-        row = max(
-            np.flatnonzero(some.agent == frame.agents.index(who)), key=lambda i: some.probability[i]
-        )
+        futures, track = frame.predictions, trace.agents.only([agent])
+        rows = np.flatnonzero(futures.agent == frame.agents.index(agent))
+        row = max(rows, key=lambda i: futures.probability[i])
+        x, y = futures.x[row], futures.y[row]
         end = np.inf if track.static[0] else float(track.t[-1])
-        known = np.flatnonzero(
-            some.t <= min(frame.t + AHEAD_S, float(trace.ego.t[-1]), end) + SAME_S
-        )
-        then = track.truth(float(some.t[known[-1]]))
-        i = now.ids.index(who)
-        dx, dy = some.x[row, known[-1]] - some.x[row, 0], some.y[row, known[-1]] - some.y[row, 0]
-        mx, my = then.x[0] - now.x[i], then.y[0] - now.y[i]
+        until = min(frame.t + AHEAD_S, float(trace.ego.t[-1]), end)
+        last = np.flatnonzero(futures.t <= until + SAME_S)[-1]
+        later = track.truth(float(futures.t[last]))
+        i = now.ids.index(agent)
+        predicted_x, predicted_y = x[last] - x[0], y[last] - y[0]
+        moved_x, moved_y = later.x[0] - now.x[i], later.y[0] - now.y[i]
         numbers = (
-            hypot(some.x[row, 0] - now.x[i], some.y[row, 0] - now.y[i]),
-            some.t[known[-1]] - frame.t,
-            hypot(dx, dy),
-            hypot(mx, my),
-            hypot(dx - mx, dy - my),
+            hypot(x[0] - now.x[i], y[0] - now.y[i]),
+            futures.t[last] - frame.t,
+            hypot(predicted_x, predicted_y),
+            hypot(moved_x, moved_y),
+            hypot(predicted_x - moved_x, predicted_y - moved_y),
         )
-        return cls(frame.t, True, *(round(float(one), 6) for one in numbers))
+        return cls(frame.t, True, *(round(float(number), 6) for number in numbers))
 
     @property
-    def error(self) -> tuple[str, str]:
-        """The error in words that follow a noun (" predicted to stand"), and the numbers.
-
-        Empty if none is known.
-        """
+    def fault(self) -> Fault:
+        """The error of the perception, else of the prediction; NONE if none is known."""
         if not self.is_seen:
-            return " not seen", f"not seen at {self.at_s:.1f} s"
+            return Fault.NOT_SEEN
         if self.seen_off_m > MISSED_M:
-            return (
-                " seen elsewhere",
-                f"seen {self.seen_off_m:.1f} m from where they are at {self.at_s:.1f} s",
-            )
+            return Fault.SEEN_ELSEWHERE
         if self.off_m <= MISSED_M:
-            return "", ""
-        moves = (
-            f"predicted to move {self.predicted_m:.1f} m in {self.ahead_s:.1f} s, moves "
-            f"{self.moved_m:.1f} m"
-        )
-        numbers = f"{moves}, {self.off_m:.1f} m from there"
+            return Fault.NONE
         if self.predicted_m < STAYS_M:
-            return " predicted to stand", numbers
-        return (
-            " predicted to move although they stand"
-            if self.moved_m < STAYS_M
-            else " predicted elsewhere",
-            numbers,
-        )
-
-
-PROGRESS = ("goal", "route_progress")
-"""Metrics of how far a drive gets."""
-FEW_S, MISSED_STEPS = 0.05, 500
-NOTHING = "nothing found in its way"
+            return Fault.PREDICTED_TO_STAND
+        return Fault.PREDICTED_TO_MOVE if self.moved_m < STAYS_M else Fault.PREDICTED_ELSEWHERE
 
 
 @dataclass(frozen=True)
@@ -298,29 +257,24 @@ class Wait:
     since_s: float
 
 
-def waits(found: Sequence[Account], lost: Sequence[float]) -> list[Wait]:
+def waits(accounts: Sequence[Account], lost: Sequence[float]) -> list[Wait]:
     """The time that is lost (7), by cause, from the accounts of plans and the time lost in each;
     the most first.
     """
-    spent: dict[str, Wait] = {}
+    by_cause: dict[str, Wait] = {}
     last = ""
-    for one, seconds in zip(found, lost, strict=True):
-        cause = one.causes[0] if one.causes else None
+    for account, seconds in zip(accounts, lost, strict=True):
+        cause = account.causes[0] if account.causes else None
         if seconds > 0.0 and cause is not None:
-            last = (
-                NOTHING
-                if cause.kind is CauseKind.NONE
-                else NAMES.get(cause.kind, cause.who) or cause.kind.value
-            )
-            spent.setdefault(last, Wait(last, 0.0, one.t))
+            last = NO_CAUSE
+            if cause.kind is not CauseKind.NONE:
+                last = NAMES.get(cause.kind, cause.who) or cause.kind.value
+            by_cause.setdefault(last, Wait(last, 0.0, account.t))
         if last and (seconds < 0.0 or cause is not None):
-            spent[last] = replace(
-                spent[last], seconds=round(max(spent[last].seconds + seconds, 0.0), 6)
-            )
-    return sorted(
-        (one for one in spent.values() if one.seconds >= FEW_S),
-        key=lambda one: (-one.seconds, one.since_s),
-    )
+            wait = by_cause[last]
+            by_cause[last] = replace(wait, seconds=round(max(wait.seconds + seconds, 0.0), 6))
+    long = [wait for wait in by_cause.values() if wait.seconds >= FEW_S]
+    return sorted(long, key=lambda wait: (-wait.seconds, wait.since_s))
 
 
 @dataclass(frozen=True)
@@ -347,33 +301,32 @@ class GoalMiss:
             return None
         steps = np.unique(np.linspace(0, len(ego) - 1, MISSED_STEPS).round().astype(int)).tolist()
         x, y = ego.x + middle * np.cos(ego.yaw), ego.y + middle * np.sin(ego.yaw)
-        to = [goal.nearest_place(float(x[k]), float(y[k])) for k in steps]
-        i = min(range(len(steps)), key=lambda i: hypot(*to[i]))
-        at, k = ego.state(steps[i]), steps[i]
-        ahead, left = _relative(at, at.x + to[i][0], at.y + to[i][1])
-        return cls(
-            at.t,
-            float(ahead),
-            float(left),
-            goal.unmet(at.t, float(x[k]), float(y[k]), at.yaw, at.v),
-        )
+        vectors = [goal.nearest_place(float(x[k]), float(y[k])) for k in steps]
+        nearest = min(range(len(steps)), key=lambda i: hypot(*vectors[i]))
+        k, (dx, dy) = steps[nearest], vectors[nearest]
+        state = ego.state(k)
+        ahead, left = _relative(state, state.x + dx, state.y + dy)
+        unmet = goal.unmet(state.t, float(x[k]), float(y[k]), state.yaw, state.v)
+        return cls(state.t, float(ahead), float(left), unmet)
 
     @property
-    def behaviour(self) -> tuple[str, str]:
-        """The miss in words, and the numbers."""
+    def fault(self) -> Fault:
+        """How the goal is missed."""
         if "place" not in self.unmet:
-            missed = " and ".join(self.unmet)
-            return (
-                f"misses the {missed} of its goal",
-                f"is at its goal's place at {self.at_s:.1f} s, not by {missed}",
-            )
-        if abs(self.ahead_m) >= abs(self.left_m):
-            return "is too slow", f"is {self.ahead_m:.1f} m before its goal at {self.at_s:.1f} s"
-        side, other = ("right", "left") if self.left_m > 0.0 else ("left", "right")
-        return (
-            f"keeps too far {side}",
-            f"has its goal {abs(self.left_m):.1f} m to its {other} at {self.at_s:.1f} s",
-        )
+            return Fault.MISSES_CONDITION
+        if abs(self.ahead_m) >= self.aside_m:
+            return Fault.IS_SLOW
+        return Fault.PASSES_RIGHT if self.left_m > 0.0 else Fault.PASSES_LEFT
+
+    @property
+    def conditions(self) -> str:
+        """The conditions that are not met."""
+        return " and ".join(self.unmet)
+
+    @property
+    def aside_m(self) -> float:
+        """How far the ego is beside the place."""
+        return abs(self.left_m)
 
 
 @dataclass(frozen=True)
@@ -402,13 +355,6 @@ class DriveFailure:
     missed: GoalMiss | None = None
 
     @property
-    def behaviour(self) -> tuple[str, str]:
-        """The miss of the goal, else the difference from the drive that passes, in words, and the
-        numbers.
-        """
-        return self.difference.behaviour if self.missed is None else self.missed.behaviour
-
-    @property
     def kind(self) -> str:
         """The kind of the road user."""
         return self.who.partition(" ")[0]
@@ -416,31 +362,39 @@ class DriveFailure:
     @property
     def details(self) -> str:
         """The road user by name, and the numbers."""
-        who = ": ".join(filter(None, (self.who, self.foresight.error[1])))
-        return "; ".join(filter(None, (who, self.behaviour[1])))
+        behaviour = self.missed or self.difference
+        foresight = self.foresight.fault.numbers(self.foresight)
+        agent = ": ".join(filter(None, (self.who, foresight)))
+        return "; ".join(filter(None, (agent, behaviour.fault.numbers(behaviour))))
 
     @property
     def sentence(self) -> str:
         """The failure without names and numbers: the same sentence for all drives that fail in this
         way.
         """
-        template = OUTCOMES.get(self.metric.partition(".")[0], f"fails {self.gate}")
-        behaviour, them = self.behaviour[0], "it" if self.kind == "object" else "them"
-        who = (
-            f"{'an' if self.kind == 'object' else 'a'} {self.kind}{self.foresight.error[0]}"
-            if self.who
-            else SOMEONE
-        )
+        agent, pronoun = ROAD_USER, "them"
+        if self.who:
+            article, pronoun = ("an", "it") if self.kind == "object" else ("a", "them")
+            agent = f"{article} {self.kind}{self.foresight.fault.words(self.foresight)}"
+        outcome = OUTCOMES.get(self.metric.partition(".")[0], f"fails {self.gate}")
         lane = f" while changing to the {self.lane} lane" if self.lane else ""
-        if not behaviour:
-            return f"{template.replace('{}', who)}{lane}"
-        if self.who and (behaviour == BRAKES[0] or (self.brakes_for and behaviour in BRAKES)):
-            return f"{behaviour} for {who}, and {template.replace('{}', them)}{lane}"
-        return f"{behaviour}, and {template.replace('{}', who)}{lane}"
+        behaviour = self.missed or self.difference
+        fault, words = behaviour.fault, behaviour.fault.words(behaviour)
+        if fault is Fault.NONE:
+            return f"{outcome.replace('{}', agent)}{lane}"
+        is_for_agent = fault is Fault.DOES_NOT_BRAKE or (self.brakes_for and fault in BRAKING)
+        if self.who and is_for_agent:
+            return f"{words} for {agent}, and {outcome.replace('{}', pronoun)}{lane}"
+        return f"{words}, and {outcome.replace('{}', agent)}{lane}"
 
 
-def lane_change(trace: Trace, at: float) -> str:
+def lane_change(trace: Trace, time: float) -> str:
     """The lane change that a drive's plan makes at a time: "left", "right", or ""."""
-    plan = next((frame.plan for frame in reversed(trace.frames) if frame.t <= at), None)
-    name = KEEP if plan is None else taken_option(lane_options(plan))
+    frame = _frame_at(trace, time)
+    name = KEEP if frame is None else taken_option(lane_options(frame.plan))
     return name if name in ("left", "right") else ""
+
+
+def _frame_at(trace: Trace, time: float) -> PlannedFrame | None:
+    """The last frame that is not later than a time."""
+    return next((frame for frame in reversed(trace.frames) if frame.t <= time), None)

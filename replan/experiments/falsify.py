@@ -36,10 +36,10 @@ from __future__ import annotations
 
 import shutil
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
-from math import inf, isfinite, nan
+from math import isfinite, nan
 from pathlib import Path
 from typing import Any
 
@@ -80,7 +80,8 @@ RESOLUTION = 0.02
 BUDGET = 200
 POWER = 4.0
 """The exponent of (5)."""
-FAIL, PASS, INCONCLUSIVE, BOTH, ERROR = "fail", "pass", "inconclusive", "both fail", "error"
+PASS, FAIL, INCONCLUSIVE = "pass", "fail", "inconclusive"
+BOTH, ERROR = "both fail", "error"
 """Outcomes of a point; `BOTH`: the reference driver fails, too."""
 WORDS = {
     FAIL: "fail",
@@ -116,10 +117,8 @@ class FalsifyQuestion:
     @cached_property
     def driven(self) -> RunConfig:
         """The configuration of the run of each case."""
-        planners = (
-            self.run.planners if self.against == CAREFUL else (*self.run.planners, self.against)
-        )
-        return closed(self.run, planners=planners, **QUIET)
+        others = () if self.against == CAREFUL else (self.against,)
+        return closed(self.run, planners=(*self.run.planners, *others), **QUIET)
 
     @property
     def inputs(self) -> dict[str, Any]:
@@ -171,68 +170,66 @@ class TriedPoint:
 
 def judged(trial: Trial, gates: Sequence[Gate], against: str) -> TriedPoint:
     """The case of a trial in a run of the planner and of `against`, unless that is "careful"."""
-    verdicts, outcome, own, careful = (
-        trial.verdicts,
-        trial.outcome,
-        trial.values(),
-        trial.values(CAREFUL),
-    )
+    verdicts, outcome = trial.verdicts, trial.outcome
     failed = verdicts[verdicts["outcome"] == Outcome.FAIL.value]
+    counting = _counting(trial, gates, tuple(failed["gate"]), against)
+    cited_gates = counting or tuple(failed["gate"])
+    cited = verdicts["gate"].isin(cited_gates) & (verdicts["outcome"] == Outcome.FAIL.value)
+    rows = verdicts[cited if cited_gates else verdicts["outcome"] == outcome.value]
+    kind = outcome.value
+    if counting:
+        kind = FAIL
+    elif len(failed):
+        kind = BOTH
+    why = next(filter(None, rows["reason"]), "") if outcome is not Outcome.PASS else ""
+    value = float(rows["value"].iloc[0]) if len(rows) else nan
+    margin = robustness(gates, trial.values())
+    return TriedPoint(kind, cited_gates, why, str(trial.drive.end), margin, value)
+
+
+def _counting(
+    trial: Trial, gates: Sequence[Gate], failed: tuple[str, ...], against: str
+) -> tuple[str, ...]:
+    """The failed gates that the reference driver keeps."""
     if against != CAREFUL:
-        other = replace(trial, planner=against).verdicts
-        holds = len(other) and not (other["outcome"] == Outcome.FAIL.value).any()
-        counts = tuple(failed["gate"]) if holds else ()
-    elif trial.careful is Avoidability.UNAVOIDABLE:
-        counts = ()
-    else:
-        known_gates = {str(gate): gate for gate in gates}
-        breaks = {
-            rule
-            for rule, gate in known_gates.items()
-            if gate.margin(careful.get(gate.metric, nan)) < 0.0
-        }
-        counts = tuple(rule for rule in failed["gate"] if rule not in breaks)
-    shown = counts or tuple(failed["gate"])
-    about = (
-        failed[failed["gate"].isin(shown)]
-        if shown
-        else verdicts[verdicts["outcome"] == outcome.value]
-    )
-    why = next(filter(None, about["reason"]), "") if outcome is not Outcome.PASS else ""
-    kind = FAIL if counts else BOTH if len(failed) else outcome.value
-    value = float(about["value"].iloc[0]) if len(about) else nan
-    return TriedPoint(kind, shown, why, str(trial.drive.end), robustness(gates, own), value)
+        verdicts = replace(trial, planner=against).verdicts
+        fails = (verdicts["outcome"] == Outcome.FAIL.value).any()
+        return failed if len(verdicts) and not fails else ()
+    if trial.careful is Avoidability.UNAVOIDABLE:
+        return ()
+    values = trial.values(CAREFUL)
+    broken = {str(gate) for gate in gates if gate.margin(values.get(gate.metric, nan)) < 0.0}
+    return tuple(gate for gate in failed if gate not in broken)
 
 
 def robustness(gates: Sequence[Gate], values: Mapping[str, float]) -> float:
     """The value of (5) for a drive's values by metric; NaN if no gate has a value."""
-    near = []
-    for gate in gates:
-        value, bound = values.get(gate.metric, nan), gate.max if gate.min is None else gate.min
-        assert bound is not None
-        if bound == 0.0:
-            name, _, reduced = gate.metric.rpartition(".")
-            metric = METRICS.get(name.partition(".")[0])
-            bounds = (
-                next((one.bounds for one in metric.reductions if one.name == reduced), None)
-                if metric
-                else None
-            )
-            if bounds is None:
-                continue  # there is no m: the gate is left out
-            below = isfinite(bounds[0])
-            bound, value = (
-                bounds[0 if below else 1],
-                values.get(f"{name}.{'min' if below else 'max'}", nan),
-            )
-            within = (
-                max((value - bound if below else bound - value) / abs(bound), 0.0) if bound else nan
-            )
-        else:
-            within = max(gate.margin(value) / abs(bound), 0.0) if isfinite(value) else nan
-        if isfinite(within):
-            near.append((1.0 + within) ** -POWER)
-    return 1.0 - float((sum(near) / len(near)) ** (1.0 / POWER)) if near else nan
+    margins = [_bounds_within(gate, values) for gate in gates]
+    nearness = [(1.0 + margin) ** -POWER for margin in margins if isfinite(margin)]
+    if not nearness:
+        return nan
+    return 1.0 - float((sum(nearness) / len(nearness)) ** (1.0 / POWER))
+
+
+def _bounds_within(gate: Gate, values: Mapping[str, float]) -> float:
+    """M of (5); NaN if the gate is left out."""
+    bound = gate.max if gate.min is None else gate.min
+    assert bound is not None
+    if bound != 0.0:
+        value = values.get(gate.metric, nan)
+        return max(gate.margin(value) / abs(bound), 0.0) if isfinite(value) else nan
+    name, _, reduced = gate.metric.rpartition(".")
+    metric = METRICS.get(name.partition(".")[0])
+    reductions = () if metric is None else metric.reductions
+    bounds = next((part.bounds for part in reductions if part.name == reduced), None)
+    if bounds is None:
+        return nan
+    least, most = bounds
+    if isfinite(least):
+        bound, within = least, values.get(f"{name}.min", nan) - least
+    else:
+        bound, within = most, most - values.get(f"{name}.max", nan)
+    return max(within / abs(bound), 0.0) if bound else nan
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,57 +243,56 @@ class Falsified:
 
     out: Path
     question: FalsifyQuestion
-    found: Mildest
+    mildest: Mildest
     table: pd.DataFrame
     case: Mapping[str, Any]
 
     @property
     def exit_code(self) -> int:
         """1 if a case was found, otherwise 0."""
-        return 0 if self.found.point is None else 1
+        return 0 if self.mildest.point is None else 1
 
     def lines(self) -> list[str]:
         """The result in sentences."""
-        asked, found = self.question, self.found
-        counts = Counter(self.table["outcome"])
-        drives = ", ".join(f"{n} {WORDS.get(name, name)}" for name, n in counts.most_common())
+        question = self.question
+        counts = Counter(self.table["outcome"]).most_common()
+        drives = ", ".join(f"{number} {WORDS.get(name, name)}" for name, number in counts)
         tried = f"{counted(len(self.table), 'drive')}: {drives}."
-        if found.is_spent:
+        if self.mildest.is_spent:
             tried += (
-                f" The budget of {counted(asked.budget, 'drive')} ended the search: --budget "
+                f" The budget of {counted(question.budget, 'drive')} ended the search: --budget "
                 "N --resume goes on."
             )
-        if found.point is None:
-            over = ", ".join(f"{axis.name} {axis.low:g} to {axis.high:g}" for axis in asked.axes)
+        if self.mildest.point is None:
+            ranges = [f"{axis.name} {axis.low:g} to {axis.high:g}" for axis in question.axes]
             return [
-                f"No case found in which {asked.planner} fails and {asked_of(asked.against)} does "
-                f"not ({over}).",
+                f"No case found in which {question.planner} fails and "
+                f"{asked_of(question.against)} does not ({', '.join(ranges)}).",
                 tried,
             ]
-        moved = [
-            axis.shown(self.case[axis.name])
-            for axis, u in zip(asked.axes, found.point, strict=True)
-            if u
-        ]
+        return [*self._case_lines(self.mildest.point), tried]
+
+    def _case_lines(self, point: Point) -> Iterator[str]:
+        """The mildest case in sentences."""
+        question, distance, passes = self.question, self.mildest.distance, self.mildest.passes
+        axes = zip(question.axes, point, strict=True)
+        moved = [axis.shown(self.case[axis.name]) for axis, u in axes if u]
         place = f"at {', '.join(moved)}" if moved else "as recorded"
-        said = [
-            f"{asked.planner} fails at distance {found.distance:.3f} from {asked.subject.name}, "
-            f"{place}, and"
-            f" {asked_of(asked.against)} does not: {self.case['gates']}."
-        ]
+        yield (
+            f"{question.planner} fails at distance {distance:.3f} from {question.subject.name}, "
+            f"{place}, and {asked_of(question.against)} does not: {self.case['gates']}."
+        )
         value, why = self.case["value"], self.case["why"]
         measured = "" if value is None or not isfinite(value) else f"the value is {value:.4g}"
         if measured or why:
-            said.append(f"Of the first gate: {'; '.join(filter(None, (measured, why)))}.")
-        if isfinite(found.passes):
-            gap = found.distance - found.passes
-            less = f"at distance {found.passes:.3f} ({gap:.3f} less)"
-            said.append(f"On the line to the recorded case it does not fail so {less}.")
-        return [*said, tried]
+            yield f"Of the first gate: {'; '.join(filter(None, (measured, why)))}."
+        if isfinite(passes):
+            nearer = f"at distance {passes:.3f} ({distance - passes:.3f} less)"
+            yield f"On the line to the recorded case it does not fail so {nearer}."
 
     def next_steps(self) -> list[str]:
         """Commands that show the case; empty if there is none."""
-        if self.found.point is None:
+        if self.mildest.point is None:
             return []
         again = (
             f"replan evaluate {self.out / 'case.mcap'} --config {self.out / 'case' / 'run.toml'}"
@@ -332,22 +328,19 @@ def falsify(
     _, failures = checked(question.driven)
     if failures:
         raise ConfigError(failures[0].message)
-    with claimed_folder(out, CONTENTS, resume=resume) as out:
-        study = Study(out, question.head(), resume=resume)
-        trials = SearchDrives(question, out, study, workers, say)
-        found = search(
+    with claimed_folder(out, CONTENTS, resume=resume) as folder:
+        study = Study(folder, question.head(), resume=resume)
+        trials = SearchDrives(question, folder, study, workers, say)
+        mildest = search(
             box_of(question.axes),
             trials,
             budget=question.budget,
             seed=question.seed,
             resolution=question.resolution,
         )
-        table = (
-            pd.DataFrame(trials.rows)
-            .drop(columns="key")
-            .astype({"robustness": float, "value": float})
-        )
-        result = Falsified(out, question, found, table, trials.row_of(found.point))
+        table = pd.DataFrame(trials.rows).drop(columns="key")
+        table = table.astype({"robustness": float, "value": float})
+        result = Falsified(folder, question, mildest, table, trials.row_of(mildest.point))
         _write(result, workers)
     return result
 
@@ -365,13 +358,8 @@ class SearchDrives:
         workers: int,
         say: Callable[[str], None],
     ) -> None:
-        self._question, self._out, self._study, self._workers, self._say = (
-            question,
-            out,
-            study,
-            workers,
-            say,
-        )
+        self._question, self._out, self._study = question, out, study
+        self._workers, self._say = workers, say
         self._gates = gates_of(question.driven, question.driven.gates_path).gates
         self._farthest = norm(abs(box_of(question.axes)).max(axis=0))
         self.rows: list[dict[str, Any]] = []
@@ -408,15 +396,12 @@ class SearchDrives:
                 f"the recorded case could not be driven: {first['why']}",
                 file=self._question.subject.name,
             )
-        least = min((row["distance"] for row in self.rows if row["outcome"] == FAIL), default=inf)
-        best = (
-            f"mildest failure at distance {least:.3f}"
-            if least < inf
-            else "no failure that counts yet"
-        )
-        self._say(
-            f"{part}: {len(self.rows)} of at most {counted(self._question.budget, 'drive')}, {best}"
-        )
+        distances = [row["distance"] for row in self.rows if row["outcome"] == FAIL]
+        best = "no failure that counts yet"
+        if distances:
+            best = f"mildest failure at distance {min(distances):.3f}"
+        most = counted(self._question.budget, "drive")
+        self._say(f"{part}: {len(self.rows)} of at most {most}, {best}")
         return [ScoredPoint(row["score"], row["outcome"] == FAIL) for row in rows]
 
     def row_of(self, point: Point | None) -> Mapping[str, Any]:
@@ -425,21 +410,21 @@ class SearchDrives:
 
     def _drive_points(self, points: Sequence[Point]) -> list[TriedPoint]:
         """Drive points, and return their cases."""
-        asked = self._question
+        question = self._question
         with scratch_folder(self._out, "batch") as scratch:
             (scratch / "logs").mkdir(parents=True)
-            makes = {
-                scratch / "logs" / f"{k}.mcap": partial(
-                    asked.subject.at, asked.axes, values_at(asked.axes, point)
-                )
-                for k, point in enumerate(points)
-            }
-            found = drive_made(makes, asked.driven, scratch / "results", workers=self._workers)
+            makes = {}
+            for number, point in enumerate(points):
+                values = values_at(question.axes, point)
+                file = scratch / "logs" / f"{number}.mcap"
+                makes[file] = partial(question.subject.at, question.axes, values)
+            results = scratch / "results"
+            trials = drive_made(makes, question.driven, results, workers=self._workers)
             return [
-                TriedPoint(ERROR, why=one)
-                if isinstance(one, str)
-                else judged(one, self._gates, asked.against)
-                for one in found
+                TriedPoint(ERROR, why=trial)
+                if isinstance(trial, str)
+                else judged(trial, self._gates, question.against)
+                for trial in trials
             ]
 
 
@@ -448,34 +433,34 @@ def _key(point: Point) -> str:
 
 
 def _write(result: Falsified, workers: int) -> None:
-    out, asked, found = result.out, result.question, result.found
-    write_table(out, "trials", result.table)
-    title = f"{asked.subject.name}: {asked.planner}"
-    falsify_figure(result.table, asked.axes, result.case, title).save(out / "falsify.png")
-    for old in ("case.mcap", "case"):
-        path = out / old
-        shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
-    if found.point is not None:
-        write_scenario(
-            out / "case.mcap", asked.subject.at(asked.axes, values_at(asked.axes, found.point))
-        )
-        shown = replace(asked.driven, recording=True, internals="summary")
-        evaluate_logs([out / "case.mcap"], shown, out / "case", workers=min(workers, 1))
+    folder, question, mildest = result.out, result.question, result.mildest
+    write_table(folder, "trials", result.table)
+    title = f"{question.subject.name}: {question.planner}"
+    falsify_figure(result.table, question.axes, result.case, title).save(folder / "falsify.png")
+    for name in ("case.mcap", "case"):
+        old = folder / name
+        shutil.rmtree(old) if old.is_dir() else old.unlink(missing_ok=True)
+    if mildest.point is not None:
+        values = values_at(question.axes, mildest.point)
+        write_scenario(folder / "case.mcap", question.subject.at(question.axes, values))
+        run = replace(question.driven, recording=True, internals="summary")
+        evaluate_logs([folder / "case.mcap"], run, folder / "case", workers=min(workers, 1))
+    case = {axis.name: result.case[axis.name] for axis in question.axes} if result.case else None
     card = {
         "replan": replan_version(),
-        **asked.inputs,
-        "planner": asked.planner,
-        "budget": asked.budget,
-        "resolution": asked.resolution,
-        "falsified": found.point is not None,
-        "distance": found.distance if isfinite(found.distance) else None,
-        "passes_at": found.passes if isfinite(found.passes) else None,
-        "case": {axis.name: result.case[axis.name] for axis in asked.axes} if result.case else None,
+        **question.inputs,
+        "planner": question.planner,
+        "budget": question.budget,
+        "resolution": question.resolution,
+        "falsified": mildest.point is not None,
+        "distance": mildest.distance if isfinite(mildest.distance) else None,
+        "passes_at": mildest.passes if isfinite(mildest.passes) else None,
+        "case": case,
         "gates": result.case.get("gates", "").split("; ") if result.case else [],
         "drives": len(result.table),
-        "budget_spent": result.found.is_spent,
+        "budget_spent": mildest.is_spent,
         "outcomes": dict(Counter(result.table["outcome"])),
         "said": result.lines(),
         "exit_code": result.exit_code,
     }
-    write_json(out / "falsify.json", card)
+    write_json(folder / "falsify.json", card)

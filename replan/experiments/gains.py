@@ -82,7 +82,7 @@ def objectives(names: Sequence[str], metrics: Mapping[str, Metric]) -> tuple[Obj
                 row = ".".join(filter(None, (metric.name, part, reduction.name)))
                 sign = {"higher": 1.0, "lower": -1.0}.get(reduction.direction or metric.direction)
                 known[row] = None if sign is None else Objective(row, mode, sign)
-    found = []
+    chosen = []
     for name in names:
         if name not in known:
             raise unknown_name("metric (of --objective)", name, known)
@@ -91,10 +91,10 @@ def objectives(names: Sequence[str], metrics: Mapping[str, Metric]) -> tuple[Obj
             raise ConfigError(
                 f"--objective {name}: neither more nor less is better; replan metrics lists others"
             )
-        found.append(objective)
+        chosen.append(objective)
     if len(set(names)) < len(names):
         raise ConfigError(f"--objective: a metric is named twice: {', '.join(names)}")
-    return tuple(found)
+    return tuple(chosen)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,27 +116,27 @@ def run_scores(results: Results, logs: Sequence[str], asked: Sequence[Objective]
     table = table[(table["planner"] == results.run.planners[0]) & table["available"].astype(bool)]
     keys = zip(table["log"], table["metric"], table["mode"], strict=True)
     known = dict(zip(keys, table["value"], strict=True))
-    values = [[float(known.get((log, one.metric, one.mode), nan)) for log in logs] for one in asked]
-    broken = int((results.verdicts["outcome"] == Outcome.FAIL.value).sum())
-    return RunScores(
-        np.array(values, dtype=float).reshape(len(asked), len(logs)), broken + len(results.failures)
-    )
+    rows = [(objective.metric, objective.mode) for objective in asked]
+    values = [float(known.get((log, *row), nan)) for row in rows for log in logs]
+    failed = int((results.verdicts["outcome"] == Outcome.FAIL.value).sum())
+    scores: FloatArray = np.reshape(values, (len(asked), len(logs)))
+    return RunScores(scores, failed + len(results.failures))
 
 
 def scales(default: FloatArray) -> FloatArray:
     """The scales (2) of the defaults' values `(j, n)`."""
-    found = [
+    means = [
         float(np.mean(np.abs(row[np.isfinite(row)]))) if np.isfinite(row).any() else 0.0
         for row in default
     ]
-    return np.array([scale if scale > 0.0 else 1.0 for scale in found])
+    return np.array([scale if scale > 0.0 else 1.0 for scale in means])
 
 
 def gains(
     values: FloatArray, default: FloatArray, scale: FloatArray, asked: Sequence[Objective]
 ) -> FloatArray:
     """The gains (1) of values `(j, n)` against those of the defaults."""
-    signs = np.array([one.sign for one in asked])[:, None]
+    signs = np.array([objective.sign for objective in asked])[:, None]
     with np.errstate(invalid="ignore"):
         moved = np.where(noise(default, values), 0.0, values - default)
     return np.nan_to_num(signs * moved / scale[:, None], nan=0.0)
@@ -173,11 +173,11 @@ def mean_gain(gain: FloatArray) -> MeanGain:
     return MeanGain(float(total.mean()), float(low[0]), float(high[0]), len(total))
 
 
-def is_dominated(one: FloatArray, others: FloatArray) -> bool:
+def is_dominated(gain: FloatArray, others: FloatArray) -> bool:
     """Whether one of the others `(m, j)` is at least as good in each objective, and better in
     one.
     """
-    return bool(((others >= one).all(axis=1) & (others > one).any(axis=1)).any())
+    return bool(((others >= gain).all(axis=1) & (others > gain).any(axis=1)).any())
 
 
 def held_out(labels: Mapping[str, LogLabels], share: float) -> frozenset[str]:

@@ -21,6 +21,16 @@ As soon as a point of distance d counts, no point beyond it can be milder: those
 than `PULL` d are pulled in to that distance along their direction. So each evaluation tests whether
 a milder case counts there.
 
+optuna's samplers alone (QMCSampler, then CmaEsSampler) need more evaluations: they neither pull
+points in nor approach the origin. Evaluations until the distance is within a tenth of the least,
+median over 20 seeds of 100 evaluations each:
+
+    failures                            here    optuna
+    beyond a line, two axes             31      53
+    within a pocket, two axes           36      45
+    beyond a value of one of four axes  67      not in 100
+    `studies.falsify`, blind beyond 30 m, seed 0: 59; optuna finds no failure in 97
+
 All points of a batch are known before the first of them is evaluated, and the size of a batch is
 fixed: the result depends only on the seed.
 """
@@ -92,29 +102,32 @@ class _EvaluatedPoints:
     def __init__(self, box: FloatArray, evaluate: Evaluate, budget: int) -> None:
         self.box, self.left = box, budget
         self._evaluate = evaluate
-        self.found: dict[Point, ScoredPoint] = {}
+        self.scored: dict[Point, ScoredPoint] = {}
 
     def ask(self, points: FloatArray, part: str) -> list[ScoredPoint | None]:
         """The scores of points `(k, n)`; each is evaluated once, None if the budget is spent."""
-        asked = [
-            tuple(point) for point in (np.clip(points, *self.box).round(DIGITS) + 0.0).tolist()
-        ]
-        new = [point for point in dict.fromkeys(asked) if point not in self.found][: self.left]
+        rounded = np.clip(points, *self.box).round(DIGITS) + 0.0  # no minus zero
+        keys = [tuple(point) for point in rounded.tolist()]
+        new = [point for point in dict.fromkeys(keys) if point not in self.scored][: self.left]
         if new:
-            self.found.update(zip(new, self._evaluate(new, part), strict=True))
+            self.scored.update(zip(new, self._evaluate(new, part), strict=True))
             self.left -= len(new)
-        return [self.found.get(point) for point in asked]
+        return [self.scored.get(point) for point in keys]
 
     def mildest(self) -> Point | None:
         """The nearest of the points that count; of equal ones, the first."""
-        return min(
-            (point for point, one in self.found.items() if one.counts), key=norm, default=None
-        )
+        counting = [point for point, scored in self.scored.items() if scored.counts]
+        return min(counting, key=norm, default=None)
+
+    @property
+    def least_score(self) -> float:
+        """The least score of a point."""
+        return min(scored.score for scored in self.scored.values())
 
     @property
     def best(self) -> FloatArray:
         """The point with the least score."""
-        return np.array(min(self.found, key=lambda point: self.found[point].score))
+        return np.array(min(self.scored, key=lambda point: self.scored[point].score))
 
     @property
     def distance(self) -> float:
@@ -128,6 +141,20 @@ class _EvaluatedPoints:
             return points
         length = np.maximum(np.linalg.norm(points, axis=1), 1e-12)
         return points * np.minimum(PULL * self.distance / length, 1.0)[:, None]
+
+    def passes_below(self, point: Point) -> float:
+        """`Mildest.passes` of a point that counts."""
+        length = norm(point)
+        if length == 0.0:
+            return np.nan
+        direction = np.array(point) / length
+        passes = np.nan
+        for other, scored in self.scored.items():
+            along = float(np.array(other) @ direction)
+            is_on_line = norm(np.array(other) - along * direction) <= 2.0 * 10.0**-DIGITS
+            if not scored.counts and is_on_line and 0.0 <= along < length:
+                passes = np.fmax(passes, along)
+        return float(passes)
 
 
 def norm(point: Sequence[float] | FloatArray) -> float:
@@ -150,41 +177,40 @@ def search(
     trials = _EvaluatedPoints(box, evaluate, budget)
     trials.ask(np.zeros((1, box.shape[1])), "recorded")
     if trials.mildest() is None:
-        from scipy.stats.qmc import Halton  # here: it takes long to load
-
-        (low, high), count = box, round(SPREAD * budget)
-        points = low + (high - low) * Halton(
-            len(low), scramble=True, rng=np.random.default_rng(seed)
-        ).random(count)
-        for begin in range(0, count, BATCH):
-            trials.ask(trials.pulled(points[begin : begin + BATCH]), "spread")
-        # Kept for the parts after a find
+        _spread(trials, round(SPREAD * budget), seed)
+        # The reserve is kept for the parts after a point counts
         for reserve in (min(3 * BATCH + box.shape[1], budget // 3), BATCH, 0):
-            runs = 0
-            while trials.left - reserve >= BATCH and runs < trials.left:
-                left = trials.left
-                _generations(trials, cma, seed + 1 + runs, reserve)
-                runs += 1
-                if trials.left == left and runs > PATIENCE:
-                    break  # all points that it asks for are known
+            _restart(trials, cma, seed, reserve)
             if trials.mildest() is not None:
                 break
     if trials.mildest() is not None:
         _approach_origin(trials, resolution)
-    point = trials.mildest()
+    evaluations, point = len(trials.scored), trials.mildest()
     if point is None:
-        return Mildest(None, inf, np.nan, len(trials.found), trials.left < BATCH)
-    length, passes = norm(point), np.nan
-    if length > 0.0:
-        along = np.array(point) / length
-        others = [np.array(one) for one, scored in trials.found.items() if not scored.counts]
-        near = [
-            float(one @ along)
-            for one in others
-            if norm(one - (one @ along) * along) <= 2.0 * 10.0**-DIGITS
-        ]
-        passes = max((s for s in near if 0.0 <= s < length), default=np.nan)
-    return Mildest(point, length, passes, len(trials.found), not trials.left)
+        return Mildest(None, inf, np.nan, evaluations, trials.left < BATCH)
+    return Mildest(point, norm(point), trials.passes_below(point), evaluations, not trials.left)
+
+
+def _spread(trials: _EvaluatedPoints, count: int, seed: int) -> None:
+    """Evaluate points of a Halton sequence."""
+    from scipy.stats.qmc import Halton  # here: it takes long to load
+
+    low, high = trials.box
+    sequence = Halton(len(low), scramble=True, rng=np.random.default_rng(seed))
+    points = low + (high - low) * sequence.random(count)
+    for begin in range(0, count, BATCH):
+        trials.ask(trials.pulled(points[begin : begin + BATCH]), "spread")
+
+
+def _restart(trials: _EvaluatedPoints, cma: Any, seed: int, reserve: int) -> None:
+    """Run CMA-ES again and again, until no more than the reserve is left of the budget."""
+    runs = 0
+    while trials.left - reserve >= BATCH and runs < trials.left:
+        left = trials.left
+        _generations(trials, cma, seed + 1 + runs, reserve)
+        runs += 1
+        if trials.left == left and runs > PATIENCE:
+            return  # all points that it asks for are known
 
 
 def cma_class(budget: int) -> Any:
@@ -202,25 +228,25 @@ def _generations(trials: _EvaluatedPoints, cma: Any, seed: int, reserve: int) ->
     """One run of CMA-ES: until it finds nothing better, or a first point counts (then the next one
     is narrower).
     """
-    counted = trials.mildest() is not None
-    sides = (
-        np.full(trials.box.shape[1], trials.distance) if counted else trials.box[1] - trials.box[0]
-    )
+    low, high = trials.box
+    had_case = trials.mildest() is not None
+    sides = np.full(len(low), trials.distance) if had_case else high - low
     evolution = cma(
         mean=trials.best / sides,
-        sigma=NARROW if counted else WIDE,
+        sigma=NARROW if had_case else WIDE,
         bounds=(trials.box / sides).T,
         population_size=BATCH,
         seed=seed,
     )
     idle = 0
     while trials.left - reserve >= BATCH and idle < PATIENCE and not evolution.should_stop():
-        before = min(one.score for one in trials.found.values())
-        asked = trials.pulled(np.array([evolution.ask() for _ in range(BATCH)]) * sides)
-        scores = [one.score for one in trials.ask(asked, "cmaes") if one is not None]
-        evolution.tell([(point / sides, score) for point, score in zip(asked, scores, strict=True)])
-        idle = 0 if min(scores) < before else idle + 1
-        if not counted and trials.mildest() is not None:
+        least = trials.least_score
+        points = trials.pulled(np.array([evolution.ask() for _ in range(BATCH)]) * sides)
+        results = trials.ask(points, "cmaes")
+        scores = [scored.score for scored in results if scored is not None]
+        evolution.tell(list(zip(points / sides, scores, strict=True)))
+        idle = 0 if min(scores) < least else idle + 1
+        if not had_case and trials.mildest() is not None:
             return
 
 
@@ -229,9 +255,9 @@ def _approach_origin(trials: _EvaluatedPoints, resolution: float) -> None:
 
     Then narrow the bracket to the origin.
     """
-    before = inf
-    while trials.distance < before:
-        before, point = trials.distance, np.array(trials.mildest())
+    farther = inf
+    while trials.distance < farther:
+        farther, point = trials.distance, np.array(trials.mildest())
         without = [np.where(np.arange(len(point)) == k, 0.0, point) for k in np.flatnonzero(point)]
         if len(without) > 1:
             trials.ask(np.array(without), "fewer")
@@ -240,11 +266,7 @@ def _approach_origin(trials: _EvaluatedPoints, resolution: float) -> None:
     while (high - low) * norm(point) > resolution and trials.left:
         count = min(BATCH, trials.left)
         shares = low + (high - low) * np.arange(1, count + 1) / (count + 1.0)
-        found = trials.ask(shares[:, None] * point, "line")
-        known = [
-            (share, one.counts)
-            for share, one in zip(shares.tolist(), found, strict=True)
-            if one is not None
-        ]
+        results = zip(shares.tolist(), trials.ask(shares[:, None] * point, "line"), strict=True)
+        known = [(share, scored.counts) for share, scored in results if scored is not None]
         high = min((share for share, counts in known if counts), default=high)
         low = max((share for share, counts in known if not counts and share < high), default=low)

@@ -50,7 +50,8 @@ class TuningInputs:
         """The defaults as they are driven: the loops that the objectives need, without
         recordings.
         """
-        mode: RunMode = "both" if any(one.mode == "open" for one in self.objectives) else "closed"
+        modes = {objective.mode for objective in self.objectives}
+        mode: RunMode = "both" if "open" in modes else "closed"
         return replace(
             self.run, mode=mode, recording=False, internals="none", deadline_s=0.0, ensemble=0
         )
@@ -62,8 +63,8 @@ class TuningInputs:
         inputs = {
             "seed": self.seed,
             "share": self.share,
-            "objectives": [one.metric for one in self.objectives],
-            "settings": {one.key: repr(one) for one in self.settings},
+            "objectives": [objective.metric for objective in self.objectives],
+            "settings": {setting.key: repr(setting) for setting in self.settings},
             "logs": {
                 name: sha256(identity.encode()).hexdigest()[:16] for name, identity in logs.items()
             },
@@ -97,31 +98,26 @@ class OptunaTrials:
             self._study: Any = self._optuna.create_study(
                 directions=["maximize"] * len(plan.objectives), sampler=sampler
             )
-        self._distributions: dict[str, Any] = {}
-        for one in plan.settings:
-            kinds, low, high = self._optuna.distributions, one.low, one.high
-            if one.choices:
-                self._distributions[one.key] = kinds.CategoricalDistribution(one.choices)
-                continue
-            assert low is not None and high is not None
-            if one.is_whole:
-                step = int(one.step or 1)
-                self._distributions[one.key] = kinds.IntDistribution(
-                    int(low), int(high), log=one.log, step=step
-                )
-                continue
-            self._distributions[one.key] = kinds.FloatDistribution(
-                float(low), float(high), log=one.log, step=one.step
-            )
+        self._distributions = {setting.key: self._range(setting) for setting in plan.settings}
         self._trial: Any = None
-        if all(one.holds_default for one in plan.settings):
-            self._study.enqueue_trial({one.key: one.default for one in plan.settings})
+        if all(setting.holds_default for setting in plan.settings):
+            self._study.enqueue_trial({setting.key: setting.default for setting in plan.settings})
+
+    def _range(self, setting: Setting) -> Any:
+        """Optuna's distribution of a setting."""
+        kinds = self._optuna.distributions
+        if setting.choices:
+            return kinds.CategoricalDistribution(setting.choices)
+        if setting.is_whole:
+            step = int(setting.step or 1)
+            return kinds.IntDistribution(*map(int, setting.ends), log=setting.log, step=step)
+        return kinds.FloatDistribution(*setting.ends, log=setting.log, step=setting.step)
 
     def ask(self) -> Values:
         """The settings of the next trial."""
         with _quiet():
             self._trial = self._study.ask(self._distributions)
-        return {one.path: self._trial.params[one.key] for one in self._plan.settings}
+        return {setting.path: self._trial.params[setting.key] for setting in self._plan.settings}
 
     def tell(self, row: Mapping[str, Any]) -> None:
         """Give optuna the result of the last trial."""
@@ -130,26 +126,24 @@ class OptunaTrials:
                 self._study.tell(self._trial, state=self._optuna.trial.TrialState.FAIL)
                 return
             self._trial.set_user_attr("violation", float(row["failed"] - self._default.failed))
-            self._study.tell(
-                self._trial, [row[f"gain {one.metric}"] for one in self._plan.objectives]
-            )
+            names = [f"gain {objective.metric}" for objective in self._plan.objectives]
+            self._study.tell(self._trial, [row[name] for name in names])
 
-    def row(self, values: Values, found: RunScores | str) -> dict[str, Any]:
+    def row(self, values: Values, scores: RunScores | str) -> dict[str, Any]:
         """The row of a trial: its gains, or the reason why its settings are refused together."""
-        row: dict[str, Any] = {one.key: values[one.path] for one in self._plan.settings}
-        names = [f"gain {one.metric}" for one in self._plan.objectives]
-        if isinstance(found, str):
-            refused = {"total": None, "failed": None, "feasible": False, "refused": found}
+        objectives = self._plan.objectives
+        row: dict[str, Any] = {setting.key: values[setting.path] for setting in self._plan.settings}
+        names = [f"gain {objective.metric}" for objective in objectives]
+        if isinstance(scores, str):
+            refused = {"total": None, "failed": None, "feasible": False, "refused": scores}
             return {**row, **dict.fromkeys(names), **refused}
-        mean = gains(found.values, self._default.values, self._scale, self._plan.objectives).mean(
-            axis=1
-        )
+        gain = gains(scores.values, self._default.values, self._scale, objectives).mean(axis=1)
         return {
             **row,
-            **dict(zip(names, mean.tolist(), strict=True)),
-            "total": float(mean.sum()),
-            "failed": found.failed,
-            "feasible": found.failed <= self._default.failed,
+            **dict(zip(names, gain.tolist(), strict=True)),
+            "total": float(gain.sum()),
+            "failed": scores.failed,
+            "feasible": scores.failed <= self._default.failed,
             "refused": "",
         }
 

@@ -5,7 +5,7 @@ cells.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 from math import isfinite, prod
 from typing import Any
@@ -13,7 +13,9 @@ from typing import Any
 import numpy as np
 
 from replan.core.errors import ConfigError, unknown_name
+from replan.experiments.encounters import conflicting_agent
 from replan.logs.edit.variations import VARIATIONS
+from replan.logs.scenario import Scenario
 
 FINER = 8
 """Default resolution of edges: the distance of two cells divided by this."""
@@ -23,6 +25,7 @@ value.
 """
 MOST_AXES, MOST_CELLS = 2, 10_000
 FORM = "write it as NAME=LOW:HIGH:COUNT, or NAME=VALUE for all cells"
+NEEDS = f"{FORM}; LOW below HIGH, COUNT 2 or more"
 
 
 @dataclass(frozen=True)
@@ -63,7 +66,8 @@ class SurfaceQuestion:
     @property
     def cells(self) -> Iterator[tuple[float, ...]]:
         """The values of each cell, row by row (the first axis changes fastest)."""
-        return ((x, *rest) for *rest, x in product(*(axis.values for axis in self.axes[::-1])))
+        values = product(*(axis.values for axis in self.axes[::-1]))
+        return ((first, *others) for *others, first in values)
 
     def values(self, cell: Sequence[float]) -> dict[str, float]:
         """The values of all parameters in a cell, by name."""
@@ -98,8 +102,8 @@ def check_agents(agents: Sequence[str], known: Collection[str], *, required: boo
     """
     missing = [agent for agent in agents if agent not in known]
     if missing or (required and not agents):
-        what = f"no agent is called '{missing[0]}'" if missing else "no agent is named"
-        raise ConfigError(f"{what}; `replan vary LOG --list-agents` lists them")
+        reason = f"no agent is called '{missing[0]}'" if missing else "no agent is named"
+        raise ConfigError(f"{reason}; `replan vary LOG --list-agents` lists them")
 
 
 def question(
@@ -114,34 +118,7 @@ def question(
     axes: list[Axis] = []
     fixed: dict[str, float] = {}
     for word in words:
-        name, separator, text = word.partition("=")
-        if not separator:
-            raise ConfigError(f"--vary {word}: {FORM}")
-        if name not in VARIATIONS:
-            raise unknown_name("variation", name, VARIATIONS)
-        try:
-            numbers = [float(part) for part in text.split(":")]
-        except ValueError:
-            raise ConfigError(f"--vary {word}: '{text}' is no number; {FORM}") from None
-        if len(numbers) == 1:
-            values: tuple[float, ...] = (numbers[0],)
-        elif (
-            len(numbers) == 3
-            and numbers[0] < numbers[1]
-            and numbers[2] >= 2
-            and numbers[2] == int(numbers[2])
-        ):
-            if numbers[2] > MOST_CELLS:
-                raise ConfigError(
-                    f"--vary {word}: a surface has at most {MOST_CELLS} cells; lower COUNT"
-                )
-            values = tuple(np.linspace(numbers[0], numbers[1], int(numbers[2])).round(12).tolist())
-            if len({f"{value:.{NAMED_DIGITS}g}" for value in values}) < len(values):
-                raise ConfigError(f"--vary {word}: COUNT values are not apart; lower COUNT")
-        else:
-            raise ConfigError(f"--vary {word}: {FORM}; LOW below HIGH, COUNT 2 or more")
-        for value in values:
-            VARIATIONS[name].check(value)
+        name, values = _varied_values(word)
         if name in fixed or any(axis.name == name for axis in axes):
             raise ConfigError(f"--vary {word}: {name} is varied twice")
         if len(values) > 1:
@@ -159,15 +136,63 @@ def question(
     return SurfaceQuestion(tuple(axes), fixed, tuple(agents), resolution or axes[0].spacing / FINER)
 
 
+def _varied_values(word: str) -> tuple[str, tuple[float, ...]]:
+    """The variation that a word names, and its values; ConfigError as `question`."""
+    name, separator, text = word.partition("=")
+    if not separator:
+        raise ConfigError(f"--vary {word}: {FORM}")
+    if name not in VARIATIONS:
+        raise unknown_name("variation", name, VARIATIONS)
+    try:
+        numbers = [float(part) for part in text.split(":")]
+    except ValueError:
+        raise ConfigError(f"--vary {word}: '{text}' is no number; {FORM}") from None
+    if len(numbers) == 3:
+        numbers = _spaced(word, *numbers)
+    elif len(numbers) != 1:
+        raise ConfigError(f"--vary {word}: {NEEDS}")
+    for value in numbers:
+        VARIATIONS[name].check(value)
+    return name, tuple(numbers)
+
+
+def _spaced(word: str, low: float, high: float, count: float) -> list[float]:
+    """`count` values from low to high; ConfigError as `question`."""
+    if not (low < high and count >= 2 and count == int(count)):
+        raise ConfigError(f"--vary {word}: {NEEDS}")
+    if count > MOST_CELLS:
+        raise ConfigError(f"--vary {word}: a surface has at most {MOST_CELLS} cells; lower COUNT")
+    values: list[float] = np.linspace(low, high, int(count)).round(12).tolist()
+    if len({f"{value:.{NAMED_DIGITS}g}" for value in values}) < len(values):
+        raise ConfigError(f"--vary {word}: COUNT values are not apart; lower COUNT")
+    return values
+
+
+def question_about(
+    scenario: Scenario, words: Sequence[str], agents: Sequence[str], resolution: float | None
+) -> SurfaceQuestion:
+    """The question of `--vary` about agents, named by whole id or short name; by default the one in
+    conflict.
+
+    Raises:
+        ConfigError: As `question` and `replan.experiments.encounters.conflicting_agent`.
+    """
+    asked = question(words, [*map(scenario.short_names.whole, agents)], resolution)
+    if agents or not asked.varies_agents:
+        return asked
+    return replace(asked, agents=(conflicting_agent(scenario),))
+
+
 def variations() -> Iterator[str]:
     """The variations, a line each."""
     width = max(map(len, VARIATIONS))
-    for one in VARIATIONS.values():
-        neutral = f"; {one.shown(one.neutral)}: as recorded" if isfinite(one.neutral) else ""
-        yield f"{one.name:{width}}  {one.summary} ({one.low:g} to {one.shown(one.high)}{neutral})"
+    for kind in VARIATIONS.values():
+        neutral = f"; {kind.shown(kind.neutral)}: as recorded" if isfinite(kind.neutral) else ""
+        ends = f"{kind.low:g} to {kind.shown(kind.high)}"
+        yield f"{kind.name:{width}}  {kind.summary} ({ends}{neutral})"
 
 
 def variation_table() -> list[dict[str, Any]]:
     """The content of `variations`, as data."""
     keys = ("name", "summary", "low", "high", "neutral")
-    return [{key: getattr(one, key) for key in keys} for one in VARIATIONS.values()]
+    return [{key: getattr(kind, key) for key in keys} for kind in VARIATIONS.values()]

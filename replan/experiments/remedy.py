@@ -53,9 +53,8 @@ class Remedy:
         breaks = f"breaks {', '.join(self.broken)}" if self.broken else "breaks none"
         return (
             f"Remedy: {self.key} = {shown(self.now)} instead of {shown(self.was)} is the smallest "
-            "change found with"
-            f" which {self.log} passes; of {counted(self.drives, 'drive')} it mends "
-            f"{len(self.mended)} and {breaks}."
+            f"change found with which {self.log} passes; of {counted(self.drives, 'drive')} it "
+            f"mends {len(self.mended)} and {breaks}."
         )
 
 
@@ -66,24 +65,34 @@ def smallest_change(
 
     `passes` drives with a setting at a value.
     """
-    found: list[tuple[Setting, Value, float]] = []
+    changes: list[tuple[Setting, Value, float]] = []
     for setting in settings:
         for end in setting.ends:
             if end == setting.default or not passes(setting, end):
                 continue
             if setting.choices:
-                found.append((setting, end, 1.0))
+                changes.append((setting, end, 1.0))
                 continue
-            low, high = 0.0, 1.0  # shares of the way: fails, passes
-            for _ in range(STEPS):
-                middle = 0.5 * (low + high)
-                value = between(setting, end, middle)
-                if value in (setting.default, between(setting, end, high)):
-                    break
-                low, high = (low, middle) if passes(setting, value) else (middle, high)
-            value = between(setting, end, high)
-            found.append((setting, value, distance(setting, value)))
-    return min(found, key=lambda one: one[2], default=None)
+            value = _smallest_value(setting, end, passes)
+            changes.append((setting, value, distance(setting, value)))
+    return min(changes, key=lambda change: change[2], default=None)
+
+
+def _smallest_value(
+    setting: Setting, end: Value, passes: Callable[[Setting, Value], bool]
+) -> Value:
+    """The value nearest to the default with which a drive passes, as it does at the end."""
+    fails_at, passes_at = 0.0, 1.0  # shares of the way from the default to the end
+    for _ in range(STEPS):
+        middle = 0.5 * (fails_at + passes_at)
+        value = between(setting, end, middle)
+        if value in (setting.default, between(setting, end, passes_at)):
+            break
+        if passes(setting, value):
+            passes_at = middle
+        else:
+            fails_at = middle
+    return between(setting, end, passes_at)
 
 
 def between(setting: Setting, end: Value, share: float) -> Value:
@@ -104,6 +113,6 @@ def between(setting: Setting, end: Value, share: float) -> Value:
 def distance(setting: Setting, value: Value) -> float:
     """The size (1) of a change."""
     assert setting.low is not None and setting.high is not None
-    numbers = [float(number) for number in (setting.default, value, setting.low, setting.high)]
-    was, now, low, high = map(log, numbers) if setting.log else numbers
-    return abs(now - was) / (high - low)
+    scale = log if setting.log else float
+    change = scale(float(value)) - scale(float(setting.default))
+    return abs(change) / (scale(float(setting.high)) - scale(float(setting.low)))

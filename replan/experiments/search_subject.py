@@ -39,15 +39,17 @@ import numpy as np
 
 from replan.core.arrays import FloatArray
 from replan.core.errors import ConfigError, LogError, unknown_name
-from replan.experiments.conflict import conflicting_agent, opened, prepared
+from replan.experiments.encounters import conflicting_agent
 from replan.experiments.question import check_agents, vary_agents
+from replan.experiments.recorded_log import opened, prepared
 from replan.logs.catalogue.family import Family
 from replan.logs.edit.variations import VARIATIONS, varied
 from replan.logs.readers import LogSettings
 from replan.logs.scenario import Scenario
 
 FORM = "write it as NAME=LOW:HIGH, for example time=-3:3"
-TIME_S, SPEED, EGO_SPEED, LATERAL_M, ALONG_M, AHEAD_M = 1.0, 0.2, 0.1, 0.375, 5.0, 10.0
+TIME_S, SPEED, EGO_SPEED = 1.0, 0.2, 0.1
+LATERAL_M, ALONG_M, AHEAD_M = 0.375, 5.0, 10.0
 ACCEL_MPS2, ANGLE_DEG, PERCENT = 1.0, 10.0, 25.0
 SCALES: Mapping[str, float] = {
     "time": TIME_S,
@@ -164,13 +166,13 @@ def search_axes(
         if name in ranges:
             raise ConfigError(f"--axis: an axis is named twice: {', '.join(words)}")
         ranges[name] = ends[0], ends[1]
-    given: dict[str, float] = {}
+    own_scales: dict[str, float] = {}
     for word in scales:
         name, _, text = word.partition("=")
         steps = _numbers(text)
         if not steps or not steps[0] > 0.0:
             raise ConfigError(f"--scale {word}: write it as NAME=VALUE with a positive value")
-        given[name] = steps[0]
+        own_scales[name] = steps[0]
     if not ranges and family is not None:  # the axes of its published grid, except choices
         for name, values in family.grid.items():
             default = family.parameters[name]
@@ -179,14 +181,14 @@ def search_axes(
     if not ranges:
         usual = DEFAULT_RANGES.items()
         ranges = {name: ends for name, ends in usual if with_agents or VARIATIONS[name].of == "ego"}
-    for name in given:
+    for name in own_scales:
         if name not in ranges:
             raise unknown_name("axis (of --scale)", name, ranges)
     if len(ranges) > MOST_AXES:
         raise ConfigError(
             f"--axis: {len(ranges)} axes; at most {MOST_AXES} can be searched at once"
         )
-    return tuple(_axis(name, *ends, given.get(name), family) for name, ends in ranges.items())
+    return tuple(_axis(name, *ends, own_scales.get(name), family) for name, ends in ranges.items())
 
 
 def _axis(
@@ -228,10 +230,10 @@ def _axis(
 def _numbers(*words: str) -> list[float]:
     """The finite numbers in words; empty if one of them is not a finite number."""
     try:
-        found = [float(word) for word in words]
+        numbers = [float(word) for word in words]
     except ValueError:
         return []
-    return found if all(map(isfinite, found)) else []
+    return numbers if all(map(isfinite, numbers)) else []
 
 
 def _parameter_scale(name: str, default: float) -> float | None:
@@ -277,22 +279,22 @@ class SearchSubject:
             LogError: There is no such scenario.
         """
         changes = {axis.name: values[axis.name] for axis in axes if axis.is_variation}
-        own = {axis.name: values[axis.name] for axis in axes if not axis.is_variation}
-        made = self.scenario
-        if own:
+        parameters = {axis.name: values[axis.name] for axis in axes if not axis.is_variation}
+        scenario = self.scenario
+        if parameters:
             assert self.family is not None
             try:
-                made = self.family.scenario(**own)
+                scenario = self.family.scenario(**parameters)
             except ConfigError as error:  # the family refuses the values: there is no such scenario
                 raise LogError(str(error)) from None
-            made = prepared(made) if changes else made
-        return varied(made, self.agents, changes) if changes else made
+            scenario = prepared(scenario) if changes else scenario
+        return varied(scenario, self.agents, changes) if changes else scenario
 
 
 def subject_of(name: str, settings: LogSettings) -> SearchSubject:
     """The log at a path or URL, or the family of a name.
 
-    Errors as `replan.experiments.conflict.opened`.
+    Errors as `replan.experiments.recorded_log.opened`.
     """
     scenario, family = opened(name, settings)
     return SearchSubject(name if family else scenario.name, scenario, family)
@@ -308,7 +310,7 @@ def agents_of(
         ConfigError: A named agent does not exist, or there is no agent.
     """
     short = subject.scenario.short_names
-    found = tuple(short.whole(word) for word in named)
-    check_agents(found, subject.scenario.tracks.ids)
+    agents = tuple(short.whole(word) for word in named)
+    check_agents(agents, subject.scenario.tracks.ids)
     asks = vary_agents(axis.name for axis in axes if axis.is_variation)
-    return found if found or not asks else (conflicting_agent(subject.scenario),)
+    return agents if agents or not asks else (conflicting_agent(subject.scenario),)

@@ -206,33 +206,33 @@ def with_values(run: RunConfig, values: Mapping[tuple[str, ...], Value]) -> RunC
 
 def difference(table: Mapping[str, Any], base: Mapping[str, Any]) -> dict[str, Any]:
     """The entries of a table that differ in another one."""
-    found: dict[str, Any] = {}
+    changed: dict[str, Any] = {}
     for key, value in table.items():
-        was = base.get(key)
-        if isinstance(value, Mapping) and isinstance(was, Mapping):
-            if inner := difference(value, was):
-                found[key] = inner
-        elif key not in base or value != was:
-            found[key] = value
-    return found
+        base_value = base.get(key)
+        if isinstance(value, Mapping) and isinstance(base_value, Mapping):
+            if inner := difference(value, base_value):
+                changed[key] = inner
+        elif key not in base or value != base_value:
+            changed[key] = value
+    return changed
 
 
 def chosen_table(run: RunConfig) -> dict[str, Any]:
     """The keys of a run that are not the defaults, and the planners, for `--config`."""
     table = tomllib.loads(dump_run(replace(run, gates="default")))
-    found = difference(table, tomllib.loads(dump_run(RunConfig())))
-    place = run.gates if run.gates in PACKAGED else str(Path(run.gates).absolute())
-    gates = {} if run.gates == "default" else {"gates": place}
+    changed = difference(table, tomllib.loads(dump_run(RunConfig())))
+    gates_path = run.gates if run.gates in PACKAGED else str(Path(run.gates).absolute())
+    gates = {} if run.gates == "default" else {"gates": gates_path}
     return {
         "planners": list(run.planners),
         **gates,
-        **{key: found[key] for key in found if key != "planners"},
+        **{key: changed[key] for key in changed if key != "planners"},
     }
 
 
 def listed(settings: Sequence[Setting], values: Mapping[tuple[str, ...], Value]) -> str:
     """Settings and their values: "planner.idm.time_gap_s = 1.2"."""
-    return ", ".join(f"{one.key} = {shown(values[one.path])}" for one in settings)
+    return ", ".join(f"{setting.key} = {shown(values[setting.path])}" for setting in settings)
 
 
 def shown(value: Value) -> str:

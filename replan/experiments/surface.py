@@ -26,7 +26,6 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from math import nan
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 
@@ -82,16 +81,12 @@ class VaryResult:
         lines = [f"cells: {', '.join(f'{n} {name}' for name, n in counts.items())}"]
         for edge in self.edges:
             row = "".join(
-                f"{axis.name} {v:.4g}: "
-                for axis, v in zip(self.question.axes[1:], edge.row, strict=True)
+                f"{axis.name} {value:.4g}: "
+                for axis, value in zip(self.question.axes[1:], edge.row, strict=True)
             )
-            between = (
-                f"{first.name} {edge.low:.6g} ({edge.at_low}) and {edge.high:.6g} ({edge.at_high})"
-            )
-            lines.append(
-                f"edge at {row}between "
-                f"{between}{'' if edge.is_open else ', not narrower: an error between'}"
-            )
+            ends = f"{edge.low:.6g} ({edge.at_low}) and {edge.high:.6g} ({edge.at_high})"
+            error = "" if edge.is_open else ", not narrower: an error between"
+            lines.append(f"edge at {row}between {first.name} {ends}{error}")
         broken = self.table[self.table["outcome"] == ERROR]
         lines += [
             f"error: {name}: {why}" for name, why in zip(broken["log"], broken["why"], strict=True)
@@ -130,18 +125,18 @@ def vary(
         "agents": list(question.agents),
         "resolution": question.resolution,
     }
-    with claimed_folder(out, CONTENTS, resume=resume) as out:
-        Study(out, study_head(CONTENTS.command, run, card), resume=resume)
-        (out / "logs").mkdir(exist_ok=True)
-        write_json(out / CARD, {"replan": replan_version(), **card})
-        rounds = _Rounds(scenario, question, run, out, workers, resume, say)
-        rounds.evaluate(list(question.cells), "grid")
+    with claimed_folder(out, CONTENTS, resume=resume) as folder:
+        Study(folder, study_head(CONTENTS.command, run, card), resume=resume)
+        (folder / "logs").mkdir(exist_ok=True)
+        write_json(folder / CARD, {"replan": replan_version(), **card})
+        rounds = _Rounds(scenario, question, run, folder, workers, resume, say)
+        cells = list(question.cells)
+        outcomes = rounds.evaluate(cells, "grid")
         edges: tuple[Bracket, ...] = ()
         if not VARIATIONS[question.axes[0].name].is_choice:
-            found = brackets({row["cell"]: row["outcome"] for row in rounds.rows})
-            edges = bisect_brackets(found, rounds.between, question.resolution)
-        table = pd.DataFrame([{**row, "cell": None} for row in rounds.rows]).drop(columns="cell")
-        result = VaryResult(out, question, table, edges)
+            pairs = brackets(dict(zip(cells, outcomes, strict=True)))
+            edges = bisect_brackets(pairs, rounds.between, question.resolution)
+        result = VaryResult(folder, question, pd.DataFrame(rounds.rows), edges)
         _write(result, scenario, planner)
         return result
 
@@ -162,7 +157,7 @@ class _Rounds:
     say: Callable[[str], None]
 
     def __post_init__(self) -> None:
-        self.rows: list[dict[str, Any]] = []
+        self.rows: list[dict[str, str | float]] = []
         self.count = 0
 
     def between(self, cells: Sequence[Cell]) -> list[str]:
@@ -176,22 +171,19 @@ class _Rounds:
     def evaluate(self, cells: Sequence[Cell], part: str) -> list[str]:
         """Drive a round of points, add their rows, and return their outcomes."""
         self.say(f"{part}: {counted(len(cells), 'point')}")
-        makes = {}
-        for cell in cells:
-            values = self.question.values(cell)
-            makes[self.out / "logs" / _file_name(values)] = partial(
-                varied, self.scenario, self.question.agents, values
-            )
+        points = [self.question.values(cell) for cell in cells]
+        logs = [_file_name(values) for values in points]
+        makes = {
+            self.out / "logs" / log: partial(varied, self.scenario, self.question.agents, values)
+            for log, values in zip(logs, points, strict=True)
+        }
         trials = drive_made(
             makes, self.run, self.out / part, workers=self.workers, resume=self.resume
         )
-        for cell, trial in zip(cells, trials, strict=True):
-            outcome = _error_row(trial) if isinstance(trial, str) else _judge_cell(trial)
-            log = _file_name(self.question.values(cell))
-            self.rows.append(
-                {"cell": cell, **self.question.values(cell), "part": part, **outcome, "log": log}
-            )
-        return [row["outcome"] for row in self.rows[-len(cells) :]]
+        verdicts = [CellVerdict.of(trial) for trial in trials]
+        for values, verdict, log in zip(points, verdicts, logs, strict=True):
+            self.rows.append({**values, "part": part, **asdict(verdict), "log": log})
+        return [verdict.outcome for verdict in verdicts]
 
 
 def _file_name(values: Mapping[str, float]) -> str:
@@ -200,68 +192,73 @@ def _file_name(values: Mapping[str, float]) -> str:
     return f"{safe_name(','.join(words))}.mcap"
 
 
-def _error_row(why: str) -> dict[str, Any]:
-    return {
-        "outcome": ERROR,
-        "gates": "",
-        "why": why,
-        "end": "",
-        "contact": "",
-        "contact_s": nan,
-        "least_gap_m": nan,
-        "least_gap_s": nan,
-        "careful": "",
-        "careful_margin_m": nan,
-    }
+@dataclass(frozen=True)
+class CellVerdict:
+    """The verdict of `replan evaluate` on a point.
 
+    Attributes:
+        outcome: As in the docstring of the module.
+        gates: The gates that decide it, joined by "; "; `why` is the reason of the first one, or
+            why the point could not be made or driven.
+        end: How the drive ended.
+        contact: What the ego touched at the end; "" if nothing. `contact_s` is the time, s.
+        least_gap_m: Least gap to a road user, m; `least_gap_s` is its time, s.
+        careful: Whether the careful driver avoids the contact; `careful_margin_m` is their least
+            gap, m.
+    """
 
-def _judge_cell(trial: Trial) -> dict[str, Any]:
-    """The verdict of `replan evaluate` on a trial, in one row."""
-    outcome, careful, values, drive = trial.outcome, trial.careful, trial.values(), trial.drive
-    excused = outcome is Outcome.INCONCLUSIVE and careful is Avoidability.UNAVOIDABLE
-    verdicts = trial.verdicts
-    blamed = verdicts[(verdicts["outcome"] == outcome.value) & (outcome is not Outcome.PASS)]
-    nearest = trial.metrics.loc[trial.metrics["metric"] == "gap.min", "time_s"]
-    contact = drive.end in _CONTACTS
-    return {
-        "outcome": UNAVOIDABLE if excused else outcome.value,
-        "gates": "; ".join(blamed["gate"]),
-        "why": next(filter(None, blamed["reason"]), ""),
-        "end": drive.end,
-        "contact": drive.detail if contact else "",
-        "contact_s": drive.t_end_s if contact else nan,
-        "least_gap_m": values.get("gap.min", nan),
-        "least_gap_s": float(nearest.iloc[0]) if len(nearest) else nan,
-        "careful": careful.value,
-        "careful_margin_m": values.get(f"reference_cc.{MARGIN.name}", nan),
-    }
+    outcome: str
+    gates: str = ""
+    why: str = ""
+    end: str = ""
+    contact: str = ""
+    contact_s: float = nan
+    least_gap_m: float = nan
+    least_gap_s: float = nan
+    careful: str = ""
+    careful_margin_m: float = nan
+
+    @classmethod
+    def of(cls, trial: Trial | str) -> CellVerdict:
+        """The verdict on a trial, or on a point for which there is none, for a reason."""
+        if isinstance(trial, str):
+            return cls(ERROR, why=trial)
+        outcome, values, drive = trial.outcome, trial.values(), trial.drive
+        is_unavoidable = trial.careful is Avoidability.UNAVOIDABLE
+        excused = outcome is Outcome.INCONCLUSIVE and is_unavoidable
+        verdicts = trial.verdicts
+        deciding = verdicts[(verdicts["outcome"] == outcome.value) & (outcome is not Outcome.PASS)]
+        nearest = trial.metrics.loc[trial.metrics["metric"] == "gap.min", "time_s"]
+        contact = drive.end in _CONTACTS
+        return cls(
+            UNAVOIDABLE if excused else outcome.value,
+            "; ".join(deciding["gate"]),
+            next(filter(None, deciding["reason"]), ""),
+            drive.end,
+            drive.detail if contact else "",
+            drive.t_end_s if contact else nan,
+            values.get("gap.min", nan),
+            float(nearest.iloc[0]) if len(nearest) else nan,
+            trial.careful.value,
+            values.get(f"reference_cc.{MARGIN.name}", nan),
+        )
 
 
 # files --------------------------------------------------------------------------------------------
 
 
 def _write(result: VaryResult, scenario: Scenario, planner: str) -> None:
-    out, table, question = result.out, result.table, result.question
-    write_table(out, "surface", table)
-    columns = [
-        *(axis.name for axis in question.axes[1:]),
-        "low",
-        "high",
-        "at_low",
-        "at_high",
-        "edge",
-    ]
+    folder, table, question = result.out, result.table, result.question
+    write_table(folder, "surface", table)
+    columns = [axis.name for axis in question.axes[1:]]
+    columns += ["low", "high", "at_low", "at_high", "edge"]
     rows = [
-        (*one.row, one.low, one.high, one.at_low, one.at_high, one.middle) for one in result.edges
+        (*edge.row, edge.low, edge.high, edge.at_low, edge.at_high, edge.middle)
+        for edge in result.edges
     ]
-    write_csv(out / "edges.csv", pd.DataFrame(rows, columns=columns))
-    about = (
-        f"; varied: {', '.join(map(scenario.short_names, question.agents))}"
-        if question.agents
-        else ""
-    )
-    fixed = "".join(
-        f", {name} {VARIATIONS[name].shown(value)}" for name, value in question.fixed.items()
-    )
-    title = f"{scenario.name}: {planner}{fixed}{about}"
-    surface_figure(table, result.edges, question, title).save(out / "surface.png")
+    write_csv(folder / "edges.csv", pd.DataFrame(rows, columns=columns))
+    agents = ", ".join(map(scenario.short_names, question.agents))
+    fixed = [f"{name} {VARIATIONS[name].shown(value)}" for name, value in question.fixed.items()]
+    title = ", ".join([f"{scenario.name}: {planner}", *fixed])
+    title += f"; varied: {agents}" if agents else ""
+    surface_figure(table, result.edges, question, title).save(folder / "surface.png")

@@ -74,22 +74,19 @@ class Trial:
         rows = self.results.failures[self.results.failures["log"] == self.log]
         if len(rows):
             first = rows.iloc[0]
-            return (
-                f"{first.message} [{first.planner}, {first.mode} loop]"
-                if first.planner
-                else str(first.message)
-            )
-        return "" if len(self._mine(self.results.drives)) else "not driven"
+            drive = f" [{first.planner}, {first.mode} loop]" if first.planner else ""
+            return f"{first.message}{drive}"
+        return "" if len(self._own(self.results.drives)) else "not driven"
 
     @cached_property
     def drive(self) -> pd.Series:
         """The row of drives.parquet."""
-        return self._mine(self.results.drives).iloc[0]
+        return self._own(self.results.drives).iloc[0]
 
     @cached_property
     def verdicts(self) -> pd.DataFrame:
         """The rows of verdicts.parquet."""
-        return self._mine(self.results.verdicts)
+        return self._own(self.results.verdicts)
 
     @property
     def outcome(self) -> Outcome:
@@ -102,9 +99,9 @@ class Trial:
         careful driver.
         """
         rows = self.results.measured
-        mine = (rows["planner"] == self.planner) & (rows["mode"] == MODE)
-        reference = (rows["planner"] == CAREFUL) & (rows["mode"] == REFERENCE)
-        return rows[(rows["log"] == self.log) & (mine | reference) & rows["available"]]
+        of_planner = (rows["planner"] == self.planner) & (rows["mode"] == MODE)
+        of_reference = (rows["planner"] == CAREFUL) & (rows["mode"] == REFERENCE)
+        return rows[(rows["log"] == self.log) & (of_planner | of_reference) & rows["available"]]
 
     def values(self, planner: str = "") -> dict[str, float]:
         """The values of the metrics, of this planner or of the careful driver (`CAREFUL`)."""
@@ -115,13 +112,13 @@ class Trial:
     def careful(self) -> Avoidability:
         """Whether the careful driver of UN R157 avoids the contact of the drive."""
         applies, avoids = (
-            self.values().get(f"reference_cc.{one.name}", nan) for one in (APPLIES, AVOIDS)
+            self.values().get(f"reference_cc.{metric.name}", nan) for metric in (APPLIES, AVOIDS)
         )
         if not applies > 0.0:
             return Avoidability.NOT_APPLICABLE
         return Avoidability.AVOIDABLE if avoids > 0.0 else Avoidability.UNAVOIDABLE
 
-    def _mine(self, rows: pd.DataFrame) -> pd.DataFrame:
+    def _own(self, rows: pd.DataFrame) -> pd.DataFrame:
         return rows[(rows["log"] == self.log) & (rows["planner"] == self.planner)]
 
 
@@ -144,24 +141,20 @@ def drive_made(
         workers: Number of processes; 0: this process.
         resume: Continue an interrupted run in `out`, if there is one.
     """
-    made: dict[Path, str] = {}
+    refused: dict[Path, str] = {}
     for path, make in makes.items():
         try:
             write_scenario(path, make())
-            made[path] = ""
         except LogError as error:
-            made[path] = str(error)
-    logs = [path for path, why in made.items() if not why]
+            refused[path] = str(error)
+    logs = [path for path in makes if path not in refused]
     if not logs:
-        return list(made.values())
-    results = evaluate_logs(
-        logs, run, out, workers=workers, resume=resume and (out / "run.toml").is_file()
-    )
+        return list(refused.values())
+    resume = resume and (out / "run.toml").is_file()
+    results = evaluate_logs(logs, run, out, workers=workers, resume=resume)
     names = dict(zip(results.logs["source"], results.logs["log"], strict=True))
-    trials = [
-        why or Trial(results, names[str(path)], run.planners[0]) for path, why in made.items()
-    ]
-    return [one if isinstance(one, str) else one.missing or one for one in trials]
+    trials = {path: Trial(results, names[str(path)], run.planners[0]) for path in logs}
+    return [refused.get(path) or trials[path].missing or trials[path] for path in makes]
 
 
 @contextmanager

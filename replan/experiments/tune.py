@@ -58,6 +58,7 @@ from replan.experiments.trial import one_planner, scratch_folder, write_table
 from replan.logs.mcap import write_scenario
 from replan.metrics.comparison import Comparison
 from replan.metrics.judge.aggregate import LogLabels
+from replan.metrics.judge.gates import Outcome
 from replan.results.tables import write_csv, write_json, write_text
 from replan.results.version import replan_version
 from replan.run import evaluate_logs
@@ -141,32 +142,32 @@ class Tuned:
             f"{counted(len(self.logs.training), 'training log')}"
         )
         aside = f", {refused} refused by the configuration" if refused else ""
-        said = [f"{tried}: {feasible} feasible{aside}."]
+        lines = [f"{tried}: {feasible} feasible{aside}."]
         if self.better is None or self.comparison is None:
-            return [
-                *said,
-                "FAIL: no feasible trial is better than the defaults on the training logs.",
-            ]
-        gain = float(self.chosen["total"])
-        said.append(
+            lines.append(
+                "FAIL: no feasible trial is better than the defaults on the training logs."
+            )
+            return lines
+        lines.append(
             f"Chosen is trial {self.chosen['trial']}: {listed(self.plan.settings, self.values)}; "
-            f"gain {gain:+.4f}."
+            f"gain {float(self.chosen['total']):+.4f}."
         )
-        said.append(f"Held out: {self.better}.")
-        broken = [
-            verdict for verdict in self.comparison.verdicts if verdict.outcome.value == "fail"
+        lines.append(f"Held out: {self.better}.")
+        lines += [
+            f"Broken: {verdict.rule}: {verdict.reason}."
+            for verdict in self.comparison.verdicts
+            if verdict.outcome is Outcome.FAIL
         ]
-        said += [f"Broken: {verdict.rule}: {verdict.reason}." for verdict in broken]
         if self.passed:
-            word = (
+            lines.append(
                 "PASS: the chosen settings are better on the held-out logs, and no rule of "
                 "comparison is broken."
             )
         elif not self.better.holds:
-            word = "FAIL: they are not better on the held-out logs."
+            lines.append("FAIL: they are not better on the held-out logs.")
         else:
-            word = "FAIL: they break a rule of comparison on the held-out logs."
-        return [*said, word]
+            lines.append("FAIL: they break a rule of comparison on the held-out logs.")
+        return lines
 
 
 def tune(
@@ -191,16 +192,16 @@ def tune(
     optuna_module()
     checked(plan.driven)
     engine = engine or Local()
-    with claimed_folder(out, CONTENTS, resume=resume) as out:
-        logs = _sorted_logs(selection, out, plan.share)
-        study = Study(out, plan.head(logs.identities), resume=resume)
+    with claimed_folder(out, CONTENTS, resume=resume) as folder:
+        logs = _sorted_logs(selection, folder, plan.share)
+        study = Study(folder, plan.head(logs.identities), resume=resume)
         for source in selection.sources:  # logs of the catalogue as files
             if source.path is None and not source.remote:
                 scenario = source.read()
                 file = Path(logs.places[scenario.name])
                 file.parent.mkdir(exist_ok=True)
                 write_scenario(file, scenario)
-        return _run_search(plan, logs, study, _Driver(out, engine, resume), say)
+        return _run_search(plan, logs, study, _Driver(folder, engine, resume), say)
 
 
 # logs ---------------------------------------------------------------------------------------------
@@ -230,13 +231,13 @@ def _sorted_logs(selection: Selection, out: Path, share: float) -> Logs:
         places[name] = source.path or (source.label if source.remote else synthesised)
         identities[name] = identity_of(source)
     held = held_out(labels, share)
-    logs = Logs(places, identities, {name: stratum(one) for name, one in labels.items()}, held)
+    strata = {name: stratum(label) for name, label in labels.items()}
+    logs = Logs(places, identities, strata, held)
     if len(held) < LEAST_LOGS:
         raise ConfigError(
             f"--held-out {share:g} of {counted(len(labels), 'log')} holds out {len(held)}, and on "
-            "fewer than"
-            f" {LEAST_LOGS} no difference is more than chance: name more logs, or hold out more of "
-            "them"
+            f"fewer than {LEAST_LOGS} no difference is more than chance: name more logs, or hold "
+            "out more of them"
         )
     if not logs.training:
         raise ConfigError(
@@ -258,15 +259,10 @@ class _Driver:
 
         Logs that an interrupted tuning finished are not driven again.
         """
-        place = self.out / folder
-        place.parent.mkdir(parents=True, exist_ok=True)
-        return evaluate_logs(
-            logs,
-            run,
-            place,
-            engine=self.engine,
-            resume=self.resume and (place / "run.toml").is_file(),
-        )
+        results = self.out / folder
+        results.parent.mkdir(parents=True, exist_ok=True)
+        resume = self.resume and (results / "run.toml").is_file()
+        return evaluate_logs(logs, run, results, engine=self.engine, resume=resume)
 
     def passing(
         self, logs: Sequence[Path | str], run: RunConfig, asked: Callable[[Results], RunScores]
@@ -290,6 +286,9 @@ def _run_search(
     default = run_scores(driver.kept(where, plan.driven, "training"), names, plan.objectives)
     search = OptunaTrials(plan, default)
 
+    def scores_of(results: Results) -> RunScores:
+        return run_scores(results, names, plan.objectives)
+
     def drive(values: Values) -> dict[str, Any]:
         """The row of a trial."""
         try:
@@ -297,10 +296,7 @@ def _run_search(
             checked(run)
         except ConfigError as error:
             return search.row(values, str(error))
-        found = driver.passing(
-            where, run, lambda results: run_scores(results, names, plan.objectives)
-        )
-        return search.row(values, found)
+        return search.row(values, driver.passing(where, run, scores_of))
 
     rows: list[dict[str, Any]] = []
     for trial in range(plan.trials):
@@ -308,15 +304,15 @@ def _run_search(
         row = study.row(key_of(values), partial(drive, values))
         search.tell(row)
         rows.append({"trial": trial, **{name: cell for name, cell in row.items() if name != "key"}})
-        best = max((one["total"] for one in rows if one["feasible"]), default=None)
-        what = "no feasible one yet" if best is None else f"best gain {best:+.4f}"
-        say(f"{trial + 1} of {counted(plan.trials, 'trial')}, {what}")
+        feasible = [trial_row["total"] for trial_row in rows if trial_row["feasible"]]
+        best = f"best gain {max(feasible):+.4f}" if feasible else "no feasible one yet"
+        say(f"{trial + 1} of {counted(plan.trials, 'trial')}, {best}")
     if all(row["refused"] for row in rows):
         raise ConfigError(
             f"no trial of {len(rows)} is accepted by the configuration: {rows[0]['refused']}"
         )
     table = pd.DataFrame(rows)
-    columns = [f"gain {one.metric}" for one in plan.objectives]
+    columns = [f"gain {objective.metric}" for objective in plan.objectives]
     table = table.astype({**dict.fromkeys([*columns, "total", "failed"], float), "feasible": bool})
     points = table.loc[table["feasible"], columns].to_numpy(float)
     table["pareto"] = False
@@ -343,64 +339,58 @@ def _judge_held_out(
         return Tuned(driver.out, plan, logs, table, {}, {}, None, None)
     chosen = {str(name): cell for name, cell in good.iloc[int(np.argmax(good["total"]))].items()}
     values: Values = {}
-    for one in plan.settings:
-        cell = chosen[one.key]
-        plain = cell.item() if hasattr(cell, "item") else cell
-        values[one.path] = int(plain) if one.is_whole else plain
+    for setting in plan.settings:
+        cell = chosen[setting.key]
+        value = cell.item() if hasattr(cell, "item") else cell
+        values[setting.path] = int(value) if setting.is_whole else value
     say(f"trial {chosen['trial']} is chosen; now the held-out logs")
     where = logs.at(logs.held_out)
     default = driver.kept(where, plan.driven, "held_out/default")
     tuned = driver.kept(where, with_values(plan.driven, values), "held_out/chosen")
-    before, now = (run_scores(one, logs.held_out, plan.objectives) for one in (default, tuned))
-    gain = gains(now.values, before.values, scale, plan.objectives)
+    default_scores = run_scores(default, logs.held_out, plan.objectives)
+    tuned_scores = run_scores(tuned, logs.held_out, plan.objectives)
+    gain = gains(tuned_scores.values, default_scores.values, scale, plan.objectives)
     comparison = compare_runs(default, tuned, gates=plan.run.gates_path, partings=0)
     return Tuned(driver.out, plan, logs, table, chosen, values, mean_gain(gain), comparison)
 
 
 def _write(result: Tuned, default: RunScores) -> None:
-    out, plan, table = result.out, result.plan, result.table
-    write_table(out, "trials", table)
+    folder, plan, table = result.out, result.plan, result.table
+    write_table(folder, "trials", table)
     front = table[table["pareto"]].sort_values("total", ascending=False, kind="stable")
-    write_csv(out / "pareto.csv", front)
+    write_csv(folder / "pareto.csv", front)
     title = (
         f"{plan.run.planners[0]}: {counted(len(table), 'trial')} on "
         f"{counted(len(result.logs.training), 'log')}"
     )
-    pareto_figure(table, [one.metric for one in plan.objectives], result.chosen, title).save(
-        out / "pareto.png"
-    )
-    chosen = with_values(plan.run, result.values)
-    note = (
-        "the chosen settings"
-        if result.passed
-        else "NOT better than the defaults on the held-out logs"
-    )
-    write_text(
-        out / "best.toml",
-        f"# Written by `replan tune`: {note}.\n{tomli_w.dumps(chosen_table(chosen))}",
-    )
-    gain = result.better
+    metrics = [objective.metric for objective in plan.objectives]
+    pareto_figure(table, metrics, result.chosen, title).save(folder / "pareto.png")
+    note = "the chosen settings"
+    if not result.passed:
+        note = "NOT better than the defaults on the held-out logs"
+    best = tomli_w.dumps(chosen_table(with_values(plan.run, result.values)))
+    write_text(folder / "best.toml", f"# Written by `replan tune`: {note}.\n{best}")
+    chosen = None
+    if result.values:
+        chosen = {setting.key: result.values[setting.path] for setting in plan.settings}
     card = {
         "replan": replan_version(),
         "planner": plan.run.planners[0],
-        "objectives": [one.metric for one in plan.objectives],
+        "objectives": metrics,
         "seed": plan.seed,
         "trials": len(table),
         "training": list(result.logs.training),
         "held_out": list(result.logs.held_out),
         "strata": dict(result.logs.strata),
         "failed_by_default": default.failed,
-        "chosen": {one.key: result.values[one.path] for one in plan.settings}
-        if result.values
-        else None,
-        "gain": None
-        if gain is None
-        else {
-            "mean": gain.mean,
-            "interval": [end if isfinite(end) else None for end in (gain.low, gain.high)],
-            "logs": gain.logs,
-        },
+        "chosen": chosen,
+        "gain": None if result.better is None else _gain_entry(result.better),
         "said": result.lines(),
         "exit_code": result.exit_code,
     }
-    write_json(out / "tune.json", card)
+    write_json(folder / "tune.json", card)
+
+
+def _gain_entry(gain: MeanGain) -> dict[str, Any]:
+    interval = [end if isfinite(end) else None for end in (gain.low, gain.high)]
+    return {"mean": gain.mean, "interval": interval, "logs": gain.logs}

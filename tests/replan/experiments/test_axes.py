@@ -12,14 +12,14 @@ CUT_IN = FAMILIES["unece_r157/cut_in"]
 
 
 @given(st.floats(-3.0, 3.0), st.floats(-5.0, 5.0))
-def test_points_and_values_there_and_back(u: float, w: float) -> None:
+def test_values_at_a_point_give_the_point_back(u: float, w: float) -> None:
     axes = search_axes(["time=-3:3", "speed=0.2:2"], (), None, with_agents=True)
     values = values_at(axes, (u, w))
     assert values["time"] == pytest.approx(u, abs=1e-8)
     assert values["speed"] == pytest.approx(min(max(1.0 + 0.2 * w, 0.2), 2.0), abs=1e-8)
 
 
-def test_the_origin_is_what_was_recorded_and_of_an_inserted_agent_the_far_end() -> None:
+def test_the_origin_is_the_recorded_value_and_for_an_inserted_agent_the_far_end() -> None:
     axes = search_axes(["ego_speed=0.5:1.5", "standing_car=20:80"], (), None, with_agents=False)
     assert [axis.origin for axis in axes] == [1.0, 80.0]
     assert box_of(axes).tolist() == [[-5.0, -6.0], [5.0, 0.0]]
@@ -42,7 +42,7 @@ def test_parameters_of_families_are_scaled_by_their_names() -> None:
     assert [axis.unit for axis in axes] == ["km/h", "m", "m/s", "m/s2"]
 
 
-def test_without_words_the_grid_of_a_family_or_the_usual_variations() -> None:
+def test_default_axes_are_the_grid_of_a_family_or_the_usual_variations() -> None:
     assert [axis.name for axis in search_axes((), (), CUT_IN, with_agents=True)] == list(
         CUT_IN.grid
     )
@@ -52,7 +52,7 @@ def test_without_words_the_grid_of_a_family_or_the_usual_variations() -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "scales", "said"),
+    ("words", "scales", "message"),
     [
         (["tme=0:1"], [], "did you mean 'time'"),
         (["time=0"], [], "write it as NAME=LOW:HIGH"),
@@ -66,15 +66,15 @@ def test_without_words_the_grid_of_a_family_or_the_usual_variations() -> None:
         (["time=-3:3"], ["time=0"], "a positive value"),
     ],
 )
-def test_wrong_words_are_refused_in_one_line(
-    words: list[str], scales: list[str], said: str
+def test_wrong_axes_are_refused_in_one_line(
+    words: list[str], scales: list[str], message: str
 ) -> None:
-    with pytest.raises(ConfigError, match=said) as error:
+    with pytest.raises(ConfigError, match=message) as error:
         search_axes(words, scales, None, with_agents=True)
     assert "\n" not in str(error.value)
 
 
-def test_a_parameter_whose_name_says_no_unit_needs_a_scale() -> None:
+def test_a_parameter_without_a_unit_in_its_name_needs_a_scale() -> None:
     family = FAMILIES["everyday/junction"]
     with pytest.raises(ConfigError, match="--scale turn=1"):
         search_axes(["turn=-1:1"], (), family, with_agents=True)

@@ -50,17 +50,17 @@ def test_a_cause_is_named_by_least_changes_that_pass(
     runs: list[ChangedRun], data: st.DataObject
 ) -> None:
     passing = set(data.draw(st.lists(st.sampled_from([run.change.name for run in runs]))))
-    found = cause_of(runs, passing)
+    cause = cause_of(runs, passing)
     known = {run.change.name: run for run in runs}
-    assert (found.name == NOT_FOUND) == (not passing)
-    assert set(found.changes) <= passing
-    named = [known[name].change for name in found.changes]
+    assert (cause.name == NOT_FOUND) == (not passing)
+    assert set(cause.changes) <= passing
+    named = [known[name].change for name in cause.changes]
     assert len({change.rank for change in named}) <= 1
-    assert not passing or set(found.name.split(" or ")) == {change.cause for change in named}
-    for name in found.changes:
+    assert not passing or set(cause.name.split(" or ")) == {change.cause for change in named}
+    for name in cause.changes:
         parts = [known[other] for other in passing if known[other].is_part_of(known[name])]
         assert {part.change.cause for part in parts} <= {known[name].change.cause}
-    assert set(cause_of(runs[::-1], passing).changes) == set(found.changes)
+    assert set(cause_of(runs[::-1], passing).changes) == set(cause.changes)
 
 
 @given(changed())
@@ -94,8 +94,8 @@ def test_a_change_is_tried_where_it_makes_another_run_and_once() -> None:
             "loop": {"plan_delay_s": 0.3, "perception": "sensor"},
         },
     )
-    found, refused = changed_runs(load_changes(), driven(late, "idm"))
-    runs = {run.change.name: run for run in found}
+    changed, refused = changed_runs(load_changes(), driven(late, "idm"))
+    runs = {run.change.name: run for run in changed}
     assert runs["no_latency"].keys == {("loop.plan_delay_s", "0.0")} and not refused
     assert runs["replayed_traffic"].is_part_of(runs["true_futures"]) and "hard_limits_idm" in runs
     assert "true_objects" not in runs, "the same run as with the default perception"
@@ -105,8 +105,8 @@ def test_a_change_that_a_run_refuses_is_named_with_the_reason() -> None:
     row = TriedChange(
         "worse", "worse", "decision", "ideal", set={"planner": {"dp_qp": {"no_such_key": 1.0}}}
     )
-    found, refused = changed_runs([row], RUN)
-    assert not found and "no_such_key" in refused["worse"]
+    changed, refused = changed_runs([row], RUN)
+    assert not changed and "no_such_key" in refused["worse"]
 
 
 ROW = (
@@ -116,7 +116,7 @@ ROW = (
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         (
             ROW.format("mine", "worst"),
@@ -128,11 +128,11 @@ ROW = (
         (ROW.format("mine", "ideal") + "colour = 1\n", "colour"),
     ],
 )
-def test_a_wrong_row_is_refused_by_name(text: str, said: str, tmp_path: Path) -> None:
+def test_a_wrong_row_is_refused_by_name(text: str, message: str, tmp_path: Path) -> None:
     (tmp_path / "changes.toml").write_text(text, encoding="utf-8")
     with pytest.raises(ConfigError) as refused:
         load_changes(tmp_path / "changes.toml")
-    assert said in str(refused.value) and "changes.toml" in str(refused.value)
+    assert message in str(refused.value) and "changes.toml" in str(refused.value)
 
 
 @given(st.floats(0.02, 0.98), st.booleans(), st.booleans())
@@ -146,20 +146,20 @@ def test_the_smallest_change_is_within_a_step_of_where_drives_pass(
         asked.append(value)
         return distance(one, value) >= share
 
-    found = smallest_change([setting], passes)
-    assert found is not None and found[2] == distance(setting, found[1])
-    assert share <= found[2] <= share + 0.5**STEPS + 1e-5, "rounded to six digits"
+    change = smallest_change([setting], passes)
+    assert change is not None and change[2] == distance(setting, change[1])
+    assert share <= change[2] <= share + 0.5**STEPS + 1e-5, "rounded to six digits"
     assert len(asked) <= 2 + STEPS
 
 
 def test_of_several_settings_the_nearest_is_taken_and_whole_numbers_stay_whole() -> None:
     knots = Setting(("planner", "dp_qp", "path", "qp", "knots"), 80, 40, 200)
     solver = Setting(("planner", "dp_qp", "solver"), "osqp", choices=("osqp", "piqp"))
-    found = smallest_change([solver, knots], lambda one, value: one is solver or int(value) >= 97)
+    change = smallest_change([solver, knots], lambda one, value: one is solver or int(value) >= 97)
     assert (
-        found is not None
-        and found[0] is knots
-        and isinstance(found[1], int)
-        and 97 <= found[1] <= 99
+        change is not None
+        and change[0] is knots
+        and isinstance(change[1], int)
+        and 97 <= change[1] <= 99
     )
     assert smallest_change([knots], lambda one, value: False) is None

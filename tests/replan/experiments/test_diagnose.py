@@ -67,13 +67,18 @@ def found(folder: Path) -> Path:
 def test_a_drive_that_cannot_be_driven_again_is_named_and_the_others_are_diagnosed(
     found: Path,
 ) -> None:
-    said = card(found)
+    diagnosis = card(found)
     assert (
-        list(said["not_driven"]) == ["test/gone"] and "gone.mcap" in said["not_driven"]["test/gone"]
+        list(diagnosis["not_driven"]) == ["test/gone"]
+        and "gone.mcap" in diagnosis["not_driven"]["test/gone"]
     )
-    assert [one["log"] for one in said["drives"]] == ["test/blocked"] and not said["fails_no_more"]
+    assert [one["log"] for one in diagnosis["drives"]] == ["test/blocked"] and not diagnosis[
+        "fails_no_more"
+    ]
     (line,) = [
-        line for line in said["said"] if line.startswith("Could not be driven again: test/gone: ")
+        line
+        for line in diagnosis["said"]
+        if line.startswith("Could not be driven again: test/gone: ")
     ]
     assert line in (found / "diagnosis.md").read_text(encoding="utf-8")
 
@@ -84,8 +89,8 @@ def card(out: Path) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-def test_the_planted_cause_is_named_and_the_table_holds_what_is_said(found: Path) -> None:
-    said = card(found)
+def test_the_planted_cause_is_named_and_the_sentences_agree_with_the_tables(found: Path) -> None:
+    diagnosis = card(found)
     drives = pd.read_csv(found / "diagnosis.csv")
     assert drives["log"].tolist() == ["test/blocked"] and drives["cause"].tolist() == [
         "comfort bound"
@@ -95,24 +100,24 @@ def test_the_planted_cause_is_named_and_the_table_holds_what_is_said(found: Path
     assert not table.loc["true_futures", "passes"], "who stands is predicted to stand"
     assert drives.loc[0, "passes_with"].split() == table.index[table["passes"]].tolist()
     assert drives.loc[0, "parts_s"] == table.loc["default_limits_idm", "parts_s"]
-    happens, cause, place = said["said"][:3]
+    happens, cause, place = diagnosis["said"][:3]
     assert happens == "1 of 1 failing drive: brakes too weakly for a car, and collides with them."
     assert cause.startswith("  Cause: comfort bound; passes with the planner's default limits")
     assert "collision_at_fault.count <= 0" in cause
-    (one,) = said["drives"]
-    difference = one["failure"]["difference"]
+    (drive,) = diagnosis["drives"]
+    difference = drive["failure"]["difference"]
     assert (
         f"{-difference['hardest_mps2']:.1f} m/s² instead of "
         f"{-difference['would_hardest_mps2']:.1f} m/s²"
     ) in place
     assert (
         difference["hardest_mps2"] > -0.6
-        and one["failure"]["who"] == "car wall"
+        and drive["failure"]["who"] == "car wall"
         and "car wall" in place
     )
     assert (
         drives.loc[0, "happens"]
-        == said["clusters"][0]["happens"]
+        == diagnosis["clusters"][0]["happens"]
         == happens.partition(": ")[2].rstrip(".")
     )
     assert (found / "changes" / "default_limits_idm" / "metrics.parquet").is_file()
@@ -175,17 +180,17 @@ def test_the_smallest_change_passes_and_is_resumed_and_what_it_breaks_is_counted
 
 
 @pytest.mark.slow
-def test_a_run_in_which_no_drive_fails_says_so(folder: Path) -> None:
+def test_a_run_without_failing_drives_has_an_empty_diagnosis(folder: Path) -> None:
     result = replan(
         "diagnose", folder / "run", "--log", "test/free", "-o", folder / "none", "--workers", 0
     )
     assert result.exit_code == 0
-    said = json.loads((folder / "none" / "diagnosis.json").read_text(encoding="utf-8"))
-    assert said["drives"] == [] and said["open_loop"] == {}
+    diagnosis = json.loads((folder / "none" / "diagnosis.json").read_text(encoding="utf-8"))
+    assert diagnosis["drives"] == [] and diagnosis["open_loop"] == {}
 
 
 @pytest.mark.slow
-def test_what_fails_in_the_open_loop_alone_is_named(folder: Path, tmp_path: Path) -> None:
+def test_a_failure_of_the_open_loop_alone_is_named(folder: Path, tmp_path: Path) -> None:
     write_gates(tmp_path / "gates.toml", 'metric = "plan_horizon.min"\nmode = "open"\nmin = 100')
     log = folder / "logs" / "free.mcap"
     run = (
@@ -201,11 +206,11 @@ def test_what_fails_in_the_open_loop_alone_is_named(folder: Path, tmp_path: Path
     assert (
         replan("diagnose", tmp_path / "run", "-o", tmp_path / "out", "--workers", 0).exit_code == 0
     )
-    said = json.loads((tmp_path / "out" / "diagnosis.json").read_text(encoding="utf-8"))
-    assert said["drives"] == [] and said["open_loop"] == {
+    diagnosis = json.loads((tmp_path / "out" / "diagnosis.json").read_text(encoding="utf-8"))
+    assert diagnosis["drives"] == [] and diagnosis["open_loop"] == {
         "test/free": ["plan_horizon.min >= 100 [open]"]
     }
-    assert any("open loop" in line and "test/free" in line for line in said["said"])
+    assert any("open loop" in line and "test/free" in line for line in diagnosis["said"])
 
 
 @pytest.mark.slow
@@ -233,15 +238,15 @@ def test_the_report_shows_the_diagnosis_and_links_its_drives(folder: Path, found
     assert wrong.exit_code == 2 and "replan diagnose RUN" in one_error(wrong)
 
 
-def test_wrong_words_are_one_line(folder: Path, tmp_path: Path) -> None:
-    for words, said in (
+def test_wrong_options_are_one_line(folder: Path, tmp_path: Path) -> None:
+    for words, message in (
         (("--log", "test/blockd"), "test/blocked"),
         (("--planner", "dp_qp"), "idm"),
         (("--changes", tmp_path / "no.toml"), "no.toml"),
         (("--resume",), "--out"),
     ):
         result = replan("diagnose", folder / "run", *words)
-        assert result.exit_code == 2 and said in one_error(result), words
+        assert result.exit_code == 2 and message in one_error(result), words
     assert "no results" in one_error(replan("diagnose", tmp_path))
     (tmp_path / "mine.txt").write_text("mine", encoding="utf-8")
     result = replan("diagnose", folder / "run", "-o", tmp_path)

@@ -17,7 +17,6 @@ from replan.experiments.drives import CUT, DrivenLogs, cut_short, worse_peak
 from replan.experiments.failure import (
     LATE_S,
     MISSED_M,
-    OUTCOMES,
     STAYS_M,
     DriveDifference,
     DriveFailure,
@@ -26,6 +25,7 @@ from replan.experiments.failure import (
     lane_change,
     waits,
 )
+from replan.experiments.failure_words import OUTCOMES, Fault
 from replan.explain.causes import Account, Cause, CauseKind
 from replan.explain.course import Action, Course
 from replan.logs.agents import AgentKind
@@ -68,82 +68,79 @@ def compared_drives(
     st.floats(0.2, 1.0),
     st.floats(-3.0, 3.0),
 )
-def test_braking_is_what_the_drives_do(
+def test_faults_of_braking_are_those_of_the_drives(
     at: float, late: float, decel: float, share: float, turn: float
 ) -> None:
     passing, failing = braked(at, decel), braked(at + late, share * decel)
-    found = compared_drives(failing, passing)
-    behaviour = found.behaviour[0]
-    if behaviour:
-        assert found.would_brake_s == pytest.approx(at, abs=0.02) and found.ahead_m > 0.0
-    if behaviour.startswith("brakes"):
-        assert found.brakes_s == pytest.approx(at + late, abs=0.02)
-        assert found.hardest_mps2 == pytest.approx(-share * decel, abs=1e-6)
-    assert behaviour != "brakes late" or late > LATE_S - 0.02
-    assert behaviour != "brakes too weakly" or share < 1.0
-    assert behaviour != "does not brake" or share * decel <= 0.5
+    difference = compared_drives(failing, passing)
+    fault = difference.fault
+    if fault is not Fault.NONE:
+        assert difference.would_brake_s == pytest.approx(at, abs=0.02) and difference.ahead_m > 0.0
+    if fault in (Fault.BRAKES_LATE, Fault.BRAKES_WEAKLY):
+        assert difference.brakes_s == pytest.approx(at + late, abs=0.02)
+        assert difference.hardest_mps2 == pytest.approx(-share * decel, abs=1e-6)
+    assert fault is not Fault.BRAKES_LATE or late > LATE_S - 0.02
+    assert fault is not Fault.BRAKES_WEAKLY or share < 1.0
+    assert fault is not Fault.DOES_NOT_BRAKE or share * decel <= 0.5
     failed, passed = (
-        drive(moved(LOG, turn, 3.0, 4.0), moved_ego(one, turn, 3.0, 4.0))
-        for one in (failing, passing)
+        drive(moved(LOG, turn, 3.0, 4.0), moved_ego(ego, turn, 3.0, 4.0))
+        for ego in (failing, passing)
     )
-    assert DriveDifference.of(failed, passed, inf).behaviour[0] == behaviour, (
-        "wherever the scene lies"
-    )
+    assert DriveDifference.of(failed, passed, inf).fault is fault, "wherever the scene lies"
 
 
 @pytest.mark.parametrize(
-    ("failing", "passing", "until", "behaviour", "numbers"),
+    ("failing", "passing", "until", "fault"),
+    [
+        (braked(3.0, 4.0), braked(2.0, 4.0), inf, Fault.BRAKES_LATE),
+        (braked(3.0, 4.0), braked(2.0, 4.0), 2.9, Fault.BRAKES_LATE),
+        (AS_LOGGED, braked(2.0, 4.0), 2.9, Fault.DOES_NOT_BRAKE),
+        (braked(2.0, 2.0), braked(2.0, 4.0), inf, Fault.BRAKES_WEAKLY),
+        (braked(2.0, 1.0), braked(2.0, 4.0), 2.1, Fault.NONE),
+        (braked(2.0, 4.0), AS_LOGGED, inf, Fault.NONE),
+        (AS_LOGGED, braked(9.0, 0.0, 0.5), inf, Fault.KEEPS_RIGHT),
+        (AS_LOGGED, braked(9.0, 0.0, -0.5), 3.0, Fault.KEEPS_LEFT),
+    ],
+)
+def test_the_fault_of_two_drives(
+    failing: Trajectory, passing: Trajectory, until: float, fault: Fault
+) -> None:
+    difference = compared_drives(failing, passing, until)
+    assert difference.fault is fault
+    if fault in (Fault.KEEPS_LEFT, Fault.KEEPS_RIGHT):
+        assert difference.aside_m == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(
+    ("fact", "words", "numbers"),
     [
         (
-            braked(3.0, 4.0),
-            braked(2.0, 4.0),
-            inf,
+            DriveDifference(1.0, 0.0, 3.0, 2.0),
             "brakes late",
             "brakes at 3.0 s instead of 2.0 s",
         ),
         (
-            braked(3.0, 4.0),
-            braked(2.0, 4.0),
-            2.9,
-            "brakes late",
-            "brakes at 3.0 s instead of 2.0 s",
-        ),
-        (
-            AS_LOGGED,
-            braked(2.0, 4.0),
-            2.9,
-            "does not brake",
-            "does not brake, instead of braking at 2.0 s",
-        ),
-        (
-            braked(2.0, 2.0),
-            braked(2.0, 4.0),
-            inf,
+            DriveDifference(1.0, 0.0, 2.0, 2.0, -2.0, -4.0),
             "brakes too weakly",
             "brakes with 2.0 m/s² instead of 4.0 m/s²",
         ),
-        (braked(2.0, 1.0), braked(2.0, 4.0), 2.1, "", ""),
-        (braked(2.0, 4.0), AS_LOGGED, inf, "", ""),
         (
-            AS_LOGGED,
-            braked(9.0, 0.0, 0.5),
-            inf,
+            GoalMiss(5.0, 0.0, 2.0, ("place",)),
             "keeps too far right",
-            "drives 0.5 m to the right of where it passes",
+            "has its goal 2.0 m to its left at 5.0 s",
         ),
         (
-            AS_LOGGED,
-            braked(9.0, 0.0, -0.5),
-            3.0,
-            "keeps too far left",
-            "drives 0.5 m to the left of where it passes",
+            GoalMiss(5.0, 0.0, 0.0, ("time", "speed")),
+            "misses the time and speed of its goal",
+            "is at its goal's place at 5.0 s, not by time and speed",
         ),
+        (Foresight(1.0, False), " not seen", "not seen at 1.0 s"),
     ],
 )
-def test_a_deed_in_numbers(
-    failing: Trajectory, passing: Trajectory, until: float, behaviour: str, numbers: str
+def test_the_words_of_a_fault_have_the_numbers_of_its_fact(
+    fact: DriveDifference | GoalMiss | Foresight, words: str, numbers: str
 ) -> None:
-    assert compared_drives(failing, passing, until).behaviour == (behaviour, numbers)
+    assert (fact.fault.words(fact), fact.fault.numbers(fact)) == (words, numbers)
 
 
 def shown(speed: float, predicted: float, off: float = 0.0, *, seen: bool = True) -> Trace:
@@ -178,30 +175,29 @@ def shown(speed: float, predicted: float, off: float = 0.0, *, seen: bool = True
 
 
 @given(st.floats(0.0, 2.0), st.floats(0.0, 2.0), st.floats(-2.0, 2.0), st.booleans())
-def test_what_is_said_of_a_prediction_is_what_it_was(
+def test_the_fault_of_a_prediction_is_its_error(
     speed: float, predicted: float, off: float, seen: bool
 ) -> None:
-    found = Foresight.of(shown(speed, predicted, off, seen=seen), "ped 7", 1.3)
-    words, numbers = found.error
-    assert bool(words) == bool(numbers)
+    foresight = Foresight.of(shown(speed, predicted, off, seen=seen), "ped 7", 1.3)
     if not seen:
-        assert words == " not seen"
+        assert foresight.fault is Fault.NOT_SEEN
         return
-    assert found.seen_off_m == pytest.approx(abs(off), abs=1e-5)
-    assert found.moved_m == pytest.approx(3.0 * speed, abs=1e-5) and found.off_m == pytest.approx(
-        3.0 * abs(speed - predicted), abs=1e-5
-    )
-    if words == " predicted to stand":
+    assert foresight.seen_off_m == pytest.approx(abs(off), abs=1e-5)
+    assert foresight.moved_m == pytest.approx(
+        3.0 * speed, abs=1e-5
+    ) and foresight.off_m == pytest.approx(3.0 * abs(speed - predicted), abs=1e-5)
+    if foresight.fault is Fault.PREDICTED_TO_STAND:
         assert 3.0 * predicted < STAYS_M + 1e-5 and 3.0 * speed > MISSED_M - 1e-5
-    if " they stand" in words:
+    if foresight.fault is Fault.PREDICTED_TO_MOVE:
         assert 3.0 * speed < STAYS_M + 1e-5 and 3.0 * predicted > MISSED_M - 1e-5
-    assert (words == "") == (found.seen_off_m <= MISSED_M and found.off_m <= MISSED_M)
+    is_right = foresight.seen_off_m <= MISSED_M and foresight.off_m <= MISSED_M
+    assert (foresight.fault is Fault.NONE) == is_right
 
 
-def test_of_someone_who_is_not_there_nothing_is_known() -> None:
+def test_the_foresight_of_an_absent_road_user_is_empty() -> None:
     trace = shown(1.0, 0.0)
     assert Foresight.of(trace, "car 3", 1.0) == Foresight.of(trace, "ped 7", 0.5) == Foresight()
-    assert Foresight().error == DriveDifference().behaviour == ("", "")
+    assert Foresight().fault is DriveDifference().fault is Fault.NONE
 
 
 LATE = compared_drives(braked(3.0, 4.0), braked(2.0, 4.0))
@@ -248,12 +244,13 @@ ANY = DriveFailure("collision_at_fault.count <= 0", "collision_at_fault.count")
     ],
 )
 def test_the_sentence_of_a_failure(changes: dict[str, object], sentence: str) -> None:
-    found = replace(ANY, **changes)  # type: ignore[arg-type]
-    assert found.sentence == sentence
-    assert found.who in found.details and found.difference.behaviour[1] in found.details
+    failure = replace(ANY, **changes)  # type: ignore[arg-type]
+    assert failure.sentence == sentence
+    numbers = failure.difference.fault.numbers(failure.difference)
+    assert failure.who in failure.details and numbers in failure.details
 
 
-def test_every_gate_of_ours_has_words_and_no_others_have() -> None:
+def test_every_gate_of_ours_has_words() -> None:
     gates = [
         gate
         for gate in load_gates(None).gates
@@ -277,15 +274,15 @@ def test_a_lane_change_is_that_of_the_plan() -> None:
         st.tuples(st.sampled_from(["17", "18", ""]), st.floats(-1.0, 2.0)), min_size=1, max_size=12
     )
 )
-def test_lost_time_is_that_of_its_causes_and_what_is_made_up_is_taken_off(
+def test_lost_time_is_summed_by_cause_less_the_time_made_up(
     steps: list[tuple[str, float]],
 ) -> None:
     course = Course(Action.HOLDS, 1.0, 1.0, 1.0, 8.0, 0.0, 0.0, 0.0, nan)
-    found = [
+    explained = [
         Account(0.5 * k, course, True, (Cause(CauseKind.AGENT, who),) if who else ())
         for k, (who, _) in enumerate(steps)
     ]
-    spent = waits(found, [seconds for _, seconds in steps])
+    spent = waits(explained, [seconds for _, seconds in steps])
     assert [one.seconds for one in spent] == sorted((one.seconds for one in spent), reverse=True)
     for one in spent:
         lost = [
@@ -337,15 +334,15 @@ def test_a_missed_goal_is_seen_from_the_ego(
     place = np.array([[x, y], [x + 1.0, y], [x + 1.0, y + 1.0], [x, y + 1.0]])
     missed = replace(LOG, goal=Goal((place,), v=(speed, speed)))
     world, ego = moved(missed, turn, shift, -shift), moved_ego(AS_LOGGED, turn, shift, -shift)
-    found = GoalMiss.of(drive(world, ego), world)
-    assert found is not None
+    miss = GoalMiss.of(drive(world, ego), world)
+    assert miss is not None
     aside = left if left > 0.0 else min(left + 1.0, 0.0)
-    if "place" in found.unmet:
-        assert found.left_m == pytest.approx(aside, abs=1e-3)
-        assert found.ahead_m == pytest.approx(max(ahead, 0.0), abs=0.2)
-        assert found.at_s == pytest.approx(6.0) or ahead < 0.0
+    if "place" in miss.unmet:
+        assert miss.left_m == pytest.approx(aside, abs=1e-3)
+        assert miss.ahead_m == pytest.approx(max(ahead, 0.0), abs=0.2)
+        assert miss.at_s == pytest.approx(6.0) or ahead < 0.0
     else:
-        assert abs(aside) < 1e-3 and ahead <= 0.2 and found.unmet == ("speed",)
+        assert abs(aside) < 1e-3 and ahead <= 0.2 and miss.unmet == ("speed",)
     assert GoalMiss.of(drive(world, ego, end=EndReason.GOAL), world) is None
 
 
@@ -391,7 +388,7 @@ def test_a_road_user_makes_way_by_as_much_as_they_brake_harder_until_the_failure
     st.floats(0.0, 10.0),
     st.floats(0.0, 10.0),
 )
-def test_a_drive_that_is_cut_before_the_failure_or_by_what_did_not_end_that_one_is_no_evidence(
+def test_a_drive_that_ends_before_the_failure_or_in_another_way_is_no_evidence(
     before: EndReason, now: EndReason, until: float, lasted: float
 ) -> None:
     cut = cut_short(before.value, until, now.value, lasted)
@@ -426,5 +423,5 @@ def test_a_peak_after_the_end_of_the_failing_drive_does_not_count(
         SimpleNamespace(measured=rows),
         SimpleNamespace(metric="lon_accel.worst_episode"),
     )
-    made = DrivenLogs(results, {"a.mcap": "log"}, "idm", {"gate": gate}, rows)  # type: ignore[arg-type, dict-item]
-    assert made.peaks(Path("a.mcap"), ["gate"], until).keys() == counted
+    driven = DrivenLogs(results, {"a.mcap": "log"}, "idm", {"gate": gate}, rows)  # type: ignore[arg-type, dict-item]
+    assert driven.peaks(Path("a.mcap"), ["gate"], until).keys() == counted

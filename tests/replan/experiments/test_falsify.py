@@ -77,17 +77,19 @@ def found(folder: Path) -> Path:
 
 @pytest.mark.slow
 def test_the_distance_is_how_far_the_car_is_from_the_way_of_the_ego(found: Path) -> None:
-    said = json.loads((found / "falsify.json").read_text(encoding="utf-8"))
-    way = 5.0 - 0.5 * (log().vehicle.width + 1.8)  # boxes touch
+    result = json.loads((found / "falsify.json").read_text(encoding="utf-8"))
+    to_lane_m = 5.0 - 0.5 * (log().vehicle.width + 1.8)  # boxes touch
     assert (
-        said["falsified"]
-        and said["passes_at"] < way / 0.375 <= said["distance"] <= 1.1 * way / 0.375
+        result["falsified"]
+        and result["passes_at"] < to_lane_m / 0.375 <= result["distance"] <= 1.1 * to_lane_m / 0.375
     )
-    assert "collision_at_fault.count <= 0 [closed]" in said["gates"] and said["agents"] == ["17"]
+    assert "collision_at_fault.count <= 0 [closed]" in result["gates"] and result["agents"] == [
+        "17"
+    ]
 
 
 @pytest.mark.slow
-def test_what_is_said_is_what_the_table_holds(found: Path) -> None:
+def test_the_sentences_of_a_falsification_agree_with_its_table(found: Path) -> None:
     card = json.loads((found / "falsify.json").read_text(encoding="utf-8"))
     table = pd.read_parquet(found / "trials.parquet")
     failing = table[table["outcome"] == FAIL]
@@ -116,8 +118,8 @@ def test_what_is_said_is_what_the_table_holds(found: Path) -> None:
 
 @pytest.mark.slow
 def test_the_case_is_a_log_that_fails_again(found: Path, folder: Path, tmp_path: Path) -> None:
-    made = read_scenario(found / "case.mcap")
-    assert made.metadata["varied.of"] == "parked"
+    case = read_scenario(found / "case.mcap")
+    assert case.metadata["varied.of"] == "parked"
     again = replan(
         "evaluate",
         found / "case.mcap",
@@ -157,7 +159,7 @@ def test_a_planner_that_never_fails_alone_is_not_falsified(folder: Path, tmp_pat
 
 
 @pytest.mark.parametrize(
-    ("more", "said"),
+    ("more", "message"),
     [
         (("--axis", "tme=0:1"), "did you mean 'time'"),
         (("--against", "constant_speed"), "is the planner itself"),
@@ -167,11 +169,11 @@ def test_a_planner_that_never_fails_alone_is_not_falsified(folder: Path, tmp_pat
         (("--resume",), "contains no study to resume"),
     ],
 )
-def test_wrong_words_are_one_line_and_leave_nothing(
-    folder: Path, tmp_path: Path, more: tuple[object, ...], said: str
+def test_wrong_options_are_one_line_and_leave_no_files(
+    folder: Path, tmp_path: Path, more: tuple[object, ...], message: str
 ) -> None:
     result = replan(*words(folder, tmp_path / "out", *more))
-    assert result.exit_code == 2 and said in one_error(result)
+    assert result.exit_code == 2 and message in one_error(result)
     assert not (tmp_path / "out").exists()
 
 
@@ -198,9 +200,9 @@ def test_a_recorded_failure_is_a_case_of_distance_0(folder: Path, tmp_path: Path
         tmp_path / "out",
         "--json",
     )
-    said = json.loads(result.stdout)
-    assert result.exit_code == said["exit_code"] == 1 and said["distance"] == 0.0
-    assert said["said"][0].startswith(
+    printed = json.loads(result.stdout)
+    assert result.exit_code == printed["exit_code"] == 1 and printed["distance"] == 0.0
+    assert printed["said"][0].startswith(
         "constant_speed fails at distance 0.000 from blocked, as recorded, and the careful"
     )
     assert (tmp_path / "out" / "case.mcap").is_file() and (

@@ -27,7 +27,7 @@ NAMES = st.dictionaries(
 TWO = (Objective("up", "closed", 1.0), Objective("down", "closed", -1.0))
 
 
-def test_a_gain_is_the_better_way_in_parts_of_the_defaults() -> None:
+def test_a_gain_is_the_improvement_as_a_share_of_the_defaults() -> None:
     default = np.array([[2.0, 4.0, np.nan], [1.0, 0.0, 5.0]])
     values = np.array([[3.0, 1.0, 9.0], [np.nan, 2.0, 5.0 + 1e-12]])
     assert scales(default).tolist() == [3.0, 2.0]
@@ -50,27 +50,27 @@ def test_noise_is_not_better_but_by_chance() -> None:
     assert not mean_gain(np.zeros((2, 20))).holds
 
 
-def test_what_no_other_beats() -> None:
+def test_a_trial_is_dominated_by_one_that_is_at_least_as_good_and_better_somewhere() -> None:
     points = np.array([[1.0, 0.0], [0.0, 1.0], [0.5, 0.5], [0.4, 0.4]])
     assert [is_dominated(point, points) for point in points] == [False, False, False, True]
 
 
 @pytest.mark.parametrize(
-    ("names", "said"),
+    ("names", "message"),
     [
         (["ttc.mn"], "did you mean 'ttc.min'"),
         (["speed.mean"], "neither more nor less is better"),
         (["ttc.min", "ttc.min"], "named twice"),
     ],
 )
-def test_wrong_objectives_are_refused(names: list[str], said: str) -> None:
-    with pytest.raises(ConfigError, match=said):
+def test_wrong_objectives_are_refused(names: list[str], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
         objectives(names, METRICS)
 
 
 def test_an_objective_has_the_loop_in_which_it_is_defined() -> None:
-    found = objectives(["ttc.min", "ade.3s.mean"], METRICS)
-    assert [(one.mode, one.sign) for one in found] == [("closed", 1.0), ("open", -1.0)]
+    chosen = objectives(["ttc.min", "ade.3s.mean"], METRICS)
+    assert [(one.mode, one.sign) for one in chosen] == [("closed", 1.0), ("open", -1.0)]
 
 
 @given(NAMES, st.floats(0.0, 1.0))

@@ -84,7 +84,7 @@ def test_the_same_seed_asks_for_the_same_points_and_another_for_others() -> None
     assert all((BOX[0] <= point).all() and (point <= BOX[1]).all() for point in map(np.array, one))
 
 
-def test_without_a_hole_none_is_found_and_all_of_the_budget_is_used() -> None:
+def test_a_box_without_failures_has_no_mildest_and_the_budget_is_used() -> None:
     result, evaluate = found(lambda u: -1.0 - norm(u), budget=48)
     assert (result.point, result.distance) == (None, inf) and isnan(result.passes)
     assert 40 <= len(evaluate.asked) == result.evaluations <= 48 and result.is_spent

@@ -47,7 +47,7 @@ def test_the_chosen_settings_are_a_file_of_a_run_with_nothing_else_in_it(tmp_pat
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("", "contains no setting"),
         ("planner.idm.time_gap = { low = 1, high = 2 }", "did you mean 'planner.idm.time_gap_s'"),
@@ -58,10 +58,7 @@ def test_the_chosen_settings_are_a_file_of_a_run_with_nothing_else_in_it(tmp_pat
         ("planner.idm.time_gap_s = { low = 2, high = 1 }", r"low \(2\) must be below high \(1\)"),
         ("planner.idm.time_gap_s = { low = 1, high = inf }", "must be finite numbers"),
         ("planner.idm.time_gap_s = { low = 0, high = 1, log = true }", "log needs a positive low"),
-        (
-            "planner.idm.time_gap_s = { low = -1, high = 1 }",
-            "time_gap_s = -1.0 is refused: .*must be positive",
-        ),
+        ("planner.idm.time_gap_s = { low = -1, high = 1 }", "time_gap_s = -1.0 is refused"),
         (
             "planner.idm.time_gap_s = { lo = 1, high = 2 }",
             "did you mean 'planner.idm.time_gap_s.low'",
@@ -73,9 +70,7 @@ def test_the_chosen_settings_are_a_file_of_a_run_with_nothing_else_in_it(tmp_pat
         ('loop.traffic = { choices = ["time", "tme"] }', "is refused: .*tme"),
     ],
 )
-def test_a_space_that_cannot_be_is_refused_in_one_line(
-    tmp_path: Path, text: str, said: str
-) -> None:
-    with pytest.raises(ConfigError, match=said) as error:
+def test_an_invalid_space_is_refused_in_one_line(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message) as error:
         load_space(write(tmp_path, text), RUN)
     assert str(error.value).startswith(str(tmp_path)) and "\n" not in str(error.value)

@@ -161,9 +161,9 @@ def test_a_space_of_refused_points_is_one_line_and_its_trials_are_kept(
     )
     asked = ("--space", tmp_path / "space.toml", "--objective", "wish.mean", "--trials", 3)
     result = replan(*words(folder, tmp_path / "out", *asked))
-    said = one_error(result)
-    assert result.exit_code == 2 and "no trial of 3 is accepted by the configuration" in said
-    assert "must be a multiple of" in said
+    message = one_error(result)
+    assert result.exit_code == 2 and "no trial of 3 is accepted by the configuration" in message
+    assert "must be a multiple of" in message
     assert len((tmp_path / "out" / FILE).read_text(encoding="utf-8").splitlines()) == 4
 
 
@@ -180,7 +180,7 @@ def test_without_optuna_or_cmaes_one_line_helps(
 
 
 @pytest.mark.parametrize(
-    ("more", "said"),
+    ("more", "message"),
     [
         (("--objective", "noise.men"), "did you mean 'noise.mean'"),
         (("--held-out", 0.0), "holds out 0, and on fewer than 6 no difference is more than chance"),
@@ -189,11 +189,11 @@ def test_without_optuna_or_cmaes_one_line_helps(
         (("--space", "nowhere.toml"), "nowhere.toml"),
     ],
 )
-def test_wrong_words_are_one_line_and_leave_nothing(
-    folder: Path, tmp_path: Path, more: tuple[object, ...], said: str
+def test_wrong_options_are_one_line_and_leave_no_files(
+    folder: Path, tmp_path: Path, more: tuple[object, ...], message: str
 ) -> None:
     result = replan(*words(folder, tmp_path / "out", *more))
-    assert result.exit_code == 2 and said in one_error(result)
+    assert result.exit_code == 2 and message in one_error(result)
     assert not (tmp_path / "out").exists()
 
 

@@ -15,15 +15,9 @@ from short_logs import past_parked
 from replan.config import RunConfig
 from replan.core.errors import ConfigError
 from replan.experiments.brackets import Bracket, bisect_brackets, brackets
-from replan.experiments.conflict import (
-    conflicting_agent,
-    encounters,
-    lines,
-    opened,
-    prepared,
-    question_about,
-)
-from replan.experiments.question import question
+from replan.experiments.encounters import conflicting_agent, encounters, lines
+from replan.experiments.question import question, question_about
+from replan.experiments.recorded_log import opened, prepared
 from replan.experiments.surface import VaryResult, vary
 from replan.logs.agents import AgentKind
 from replan.logs.mcap import write_scenario
@@ -77,7 +71,7 @@ def outcomes(result: VaryResult, start: float) -> list[str]:
     return table.sort_values("side")["outcome"].tolist()
 
 
-def test_a_cell_is_what_evaluate_says_of_its_log(result: VaryResult, tmp_path: Path) -> None:
+def test_a_cell_has_the_verdict_of_evaluate_on_its_log(result: VaryResult, tmp_path: Path) -> None:
     (cell,) = result.table.query("side == -4 and ego_start == 1").to_dict("records")
     alone = evaluate_logs(
         [result.out / "logs" / cell["log"]],
@@ -109,7 +103,7 @@ def test_a_cell_that_cannot_be_made_is_named_and_costs_only_itself(result: VaryR
     assert result.exit_code == 3 and any("off the road" in line for line in result.lines())
 
 
-def test_whoever_walks_into_the_ego_is_a_contact_too(tmp_path: Path) -> None:
+def test_a_pedestrian_who_walks_into_the_ego_is_a_contact(tmp_path: Path) -> None:
     walks = replace(log(), tracks=tracks(crosses("9")))
     into = vary(walks, question(["time=0.2:9.2:2"], ["9"], 9.0), RUN, tmp_path / "out")
     first, second = into.table.to_dict("records")
@@ -123,7 +117,7 @@ def test_whoever_walks_into_the_ego_is_a_contact_too(tmp_path: Path) -> None:
     )
 
 
-def test_files_and_parameters(result: VaryResult) -> None:
+def test_a_surface_is_written_as_tables_and_a_picture(result: VaryResult) -> None:
     table = pd.read_parquet(result.out / "surface.parquet")
     pd.testing.assert_frame_equal(table, result.table)
     assert table["log"].is_unique
@@ -139,36 +133,36 @@ def test_halving_brackets_the_edge(edge: float, resolution: float, passes_above:
         return ["pass" if (cell[0] >= edge) == passes_above else "fail" for cell in cells]
 
     cells = [(x, row) for row in (1.0, 2.0) for x in (-5.0, -1.0, 0.0, 5.0)]
-    found = bisect_brackets(
+    pairs = bisect_brackets(
         brackets(dict(zip(cells, evaluate(cells), strict=True))), evaluate, resolution
     )
-    assert [one.row for one in found] == [(1.0,), (2.0,)]
-    for one in found:
-        assert one.low <= edge <= one.high and one.high - one.low <= resolution * (1.0 + 1e-9)
-        assert evaluate([(one.low,), (one.high,)]) == [one.at_low, one.at_high]
+    assert [pair.row for pair in pairs] == [(1.0,), (2.0,)]
+    for pair in pairs:
+        assert pair.low <= edge <= pair.high and pair.high - pair.low <= resolution * (1.0 + 1e-9)
+        assert evaluate([(pair.low,), (pair.high,)]) == [pair.at_low, pair.at_high]
 
 
 def test_an_error_ends_halving_and_is_no_end_of_a_bracket() -> None:
     assert brackets({(0.0,): "pass", (1.0,): "error", (2.0,): "fail"}) == ()
-    (one,) = bisect_brackets([Bracket((), 0.0, 1.0, "pass", "fail")], lambda cells: ["error"], 0.1)
-    assert (one.low, one.high, one.is_open) == (0.0, 1.0, False)
+    (pair,) = bisect_brackets([Bracket((), 0.0, 1.0, "pass", "fail")], lambda cells: ["error"], 0.1)
+    assert (pair.low, pair.high, pair.is_open) == (0.0, 1.0, False)
 
 
-def test_who_comes_nearest() -> None:
-    made = prepared(log())
-    found = {one.agent: one for one in encounters(made)}
-    beside = 5.0 - 0.5 * (made.vehicle.width + 1.8)
-    assert found["17"].least == pytest.approx(beside) and (
-        found["17"].t_from,
-        found["17"].t_to,
+def test_encounters_are_sorted_by_distance_and_only_moving_agents_conflict() -> None:
+    scenario = prepared(log())
+    by_agent = {encounter.agent: encounter for encounter in encounters(scenario)}
+    beside = 5.0 - 0.5 * (scenario.vehicle.width + 1.8)
+    assert by_agent["17"].least == pytest.approx(beside) and (
+        by_agent["17"].t_from,
+        by_agent["17"].t_to,
     ) == (0.0, 2.9)
-    assert found["far"].way == 20.0 and list(found) == ["blink", "17", "far"]
-    assert conflicting_agent(made) == "far"  # the only one who goes anywhere
+    assert by_agent["far"].way == 20.0 and list(by_agent) == ["blink", "17", "far"]
+    assert conflicting_agent(scenario) == "far"  # the only one who goes anywhere
     with pytest.raises(ConfigError, match="there is no agent to vary"):
-        conflicting_agent(replace(made, tracks=tracks()))
+        conflicting_agent(replace(scenario, tracks=tracks()))
 
 
-def test_who_crosses_is_in_conflict_and_not_the_nearer_bystander() -> None:
+def test_a_crossing_pedestrian_is_in_conflict_and_a_nearer_bystander_is_not() -> None:
     t = [0.1 * k for k in range(30)]
     strolls = track(
         "strolls",
@@ -181,35 +175,41 @@ def test_who_crosses_is_in_conflict_and_not_the_nearer_bystander() -> None:
         vx=1.0,
         vy=0.0,
     )
-    made = prepared(replace(log(), tracks=tracks(crosses("crosses"), strolls)))
-    found = {one.agent: one for one in encounters(made)}
-    front, beside = made.vehicle.axle_to_front, 0.5 * made.vehicle.width
-    assert np.isnan(found["strolls"].conflict) and 0.0 < found["strolls"].least < beside + 2.0
+    scenario = prepared(replace(log(), tracks=tracks(crosses("crosses"), strolls)))
+    by_agent = {encounter.agent: encounter for encounter in encounters(scenario)}
+    front, beside = scenario.vehicle.axle_to_front, 0.5 * scenario.vehicle.width
+    assert np.isnan(by_agent["strolls"].conflict) and 0.0 < by_agent["strolls"].least < beside + 2.0
     # They are on the lane's middle then: contact at constant velocity
     meets = (14.0 - 0.25 - front) / 8.0
-    assert 0.0 <= found["crosses"].conflict <= meets + 0.1
-    assert conflicting_agent(made) == "crosses"
+    assert 0.0 <= by_agent["crosses"].conflict <= meets + 0.1
+    assert conflicting_agent(scenario) == "crosses"
 
 
 def test_the_conflict_of_a_recorded_drive_is_the_pedestrian_who_crosses(shared_data: Path) -> None:
-    made, _ = opened(str(shared_data / "tartu" / "ros2" / "pedestrian_crossing_10"), LogSettings())
-    by_agent = {one.agent: one for one in encounters(made)}
-    agent = conflicting_agent(made)
+    scenario, _ = opened(
+        str(shared_data / "tartu" / "ros2" / "pedestrian_crossing_10"), LogSettings()
+    )
+    by_agent = {encounter.agent: encounter for encounter in encounters(scenario)}
+    agent = conflicting_agent(scenario)
     assert by_agent[agent].kind == "pedestrian" and by_agent[agent].conflict < 4.0
     nearest = next(
-        one for one in by_agent.values() if one.way >= 1.0 and one.t_to - one.t_from >= 1.0
+        encounter
+        for encounter in by_agent.values()
+        if encounter.way >= 1.0 and encounter.t_to - encounter.t_from >= 1.0
     )
     assert nearest.kind == "car" and nearest.least < by_agent[agent].least
 
 
 def test_a_log_without_a_goal_keeps_the_place_where_its_drive_ended() -> None:
-    made = prepared(replace(log(), goal=None))
-    assert made.goal is not None and made.goal.holds_place(23.2 + made.vehicle.axle_to_center, 0.0)
-    assert any("where its drive ended" in note for note in made.notes)
+    scenario = prepared(replace(log(), goal=None))
+    assert scenario.goal is not None and scenario.goal.holds_place(
+        23.2 + scenario.vehicle.axle_to_center, 0.0
+    )
+    assert any("where its drive ended" in note for note in scenario.notes)
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["time=-2:2:1000000000000"], "a surface has at most 10000 cells"),
         (["time=-2:2:200", "speed=0.5:1.5:200"], "40000 cells, a surface has at most 10000"),
@@ -226,12 +226,12 @@ def test_a_log_without_a_goal_keeps_the_place_where_its_drive_ended() -> None:
         (["time=0:99:3"], "from -30 to 30 s"),
     ],
 )
-def test_wrong_words_are_refused(words: list[str], said: str) -> None:
-    with pytest.raises(ConfigError, match=said):
+def test_wrong_variations_are_refused(words: list[str], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
         question(words)
 
 
-def test_the_command_line(tmp_path: Path) -> None:
+def test_vary_lists_agents_and_variations_and_writes_a_surface(tmp_path: Path) -> None:
     write_scenario(tmp_path / "log.mcap", log())
     listed = replan("vary", tmp_path / "log.mcap", "--list-agents")
     assert [line.split()[:2] for line in listed.stdout.splitlines()[1:]] == [
@@ -250,12 +250,12 @@ def test_the_command_line(tmp_path: Path) -> None:
         "--workers",
         0,
     ]
-    done = replan(*words, "--resolution", 30, "--out", tmp_path / "out")
-    assert done.exit_code == 0, done.output
+    result = replan(*words, "--resolution", 30, "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
     table = pd.read_csv(tmp_path / "out" / "surface.csv")
     assert table["outcome"].tolist()[0] in ("fail", "unavoidable", "inconclusive")
     assert "inserted car" in table["contact"][0]
-    assert f"written to {tmp_path / 'out'}" in done.stdout.replace("\n", "")
+    assert f"written to {tmp_path / 'out'}" in result.stdout.replace("\n", "")
 
 
 def test_an_agent_is_named_by_the_whole_id_or_by_its_short_name() -> None:

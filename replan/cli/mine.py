@@ -74,7 +74,7 @@ def mine(
       replan query results/mined "SELECT kind, count(*) FROM events GROUP BY kind"
     """
     if markdown:
-        from replan.mine.kinds import page
+        from replan.mine.kinds_page import page
 
         say(page())
         return
@@ -202,8 +202,8 @@ def suite(run: Mined, out: Annotated[Path, opt.out_option("The FILE.toml to writ
       replan evaluate --suite suite.toml
     """
     from replan.core.names import counted
-    from replan.mine.coverage import suite_of, suite_writer
     from replan.mine.mine import read_mined
+    from replan.mine.suite import suite_of, suite_writer
     from replan.run.output import begun_in
 
     with suite_writer(out) as write:
@@ -239,7 +239,14 @@ def coverage(
     comparison, so that a gap names a family that fills it (replan synth FAMILY).
     """
     from replan.cli.progress_bar import sign_of_life
-    from replan.mine.coverage import COVERAGE, cells, gaps, lines, table, write_coverage
+    from replan.mine.coverage import (
+        COVERAGE,
+        cells_of,
+        coverage_lines,
+        coverage_table,
+        missing_cells,
+        write_coverage,
+    )
     from replan.mine.mine import mine as mine_logs, read_mined
     from replan.run.claim import claimed_folder
     from replan.run.output import held
@@ -254,10 +261,12 @@ def coverage(
                 other = mine_logs(catalogue(), RunConfig(), workers=worker_count(workers)).events
         else:
             other = read_mined(against).events
-        have = cells(mined.events)
-        missing = gaps(have, cells(other))
-        write_coverage(folder or run, mined.events, table(have, missing))
+        covered = cells_of(mined.events)
+        missing = missing_cells(covered, cells_of(other))
+        table = coverage_table(covered, missing)
+        write_coverage(folder or run, mined.events, table)
     if as_json:
-        say_json(table(have, missing))
+        say_json(table)
     else:
-        say_sentences(lines(have, missing, "the catalogue" if against is None else str(against)))
+        source = "the catalogue" if against is None else str(against)
+        say_sentences(coverage_lines(covered, missing, source))

@@ -63,88 +63,94 @@ TOO_LARGE = "the two hardly move against each other: the boxes may be too large"
 
 def _near_miss_ttc(log: DrivenLog) -> Iterator[Event]:
     turn = log.ego.v * log.ego.kappa
-    for one in log.neighbours:
-        size = np.array(one.size)
-        ttc, needed = _courses(log.boxes, turn, log.car, one.pose, one.turn, one.k, size, TTC_S)
-        rooms = _rooms(log.boxes, log.car, one.pose, one.k, size)
-        for first, last in runs(ttc < TTC_S, one.k, steps(COURSE_S), steps(0.5)):
+    for user in log.neighbours:
+        size = np.array(user.size)
+        ttc, needed = _courses(log.boxes, turn, log.car, user.pose, user.turn, user.k, size, TTC_S)
+        gaps = _gaps(log.boxes, log.car, user.pose, user.k, size)
+        for first, last in runs(ttc < TTC_S, user.k, steps(COURSE_S), steps(0.5)):
             if needed[first : last + 1].max() < HARD_MPS2:
                 continue
-            after = slice(first, min(last + steps(NEAR_S), len(one.k) - 1) + 1)
+            window = slice(first, min(last + steps(NEAR_S), len(user.k) - 1) + 1)
             braked = min(
-                float(np.nanmin(log.accel[one.k[after]], initial=0.0)),
-                float(one.accel[after].min()),
+                float(np.nanmin(log.accel[user.k[window]], initial=0.0)),
+                float(user.accel[window].min()),
             )
-            along = abs(one.along[first]) > ALONG and not one.kind.is_vulnerable
-            beside = along and not one.reaches_into(log.half)[after].any()
-            room = rooms[after].min()
-            if (braked <= -HARD_MPS2 and not beside) or room < NEAR_M:
-                jumps = log.jumps[one.k[first : last + 1]].any()
-                doubt = JUMPS if jumps else SHALLOW if -DEEP_M < room <= 0.0 else ""
-                yield log.event(one, first, last, ttc[first : last + 1].min(), doubt=doubt)
+            along = abs(user.along[first]) > ALONG and not user.kind.is_vulnerable
+            beside = along and not user.reaches_into(log.half)[window].any()
+            gap = gaps[window].min()
+            if (braked <= -HARD_MPS2 and not beside) or gap < NEAR_M:
+                doubt = SHALLOW if -DEEP_M < gap <= 0.0 else ""
+                if log.jumps[user.k[first : last + 1]].any():
+                    doubt = JUMPS
+                yield log.event(user, first, last, ttc[first : last + 1].min(), doubt=doubt)
 
 
 def _contact(log: DrivenLog) -> Iterator[Event]:
-    for one in log.neighbours:
-        room = _rooms(log.boxes, log.car, one.pose, one.k, np.array(one.size))
-        closing = np.hypot(one.pose[3] - log.boxes[3, one.k], one.pose[4] - log.boxes[4, one.k])
-        for first, last in runs(room <= 0.0, one.k, hole=steps(0.5)):
-            begins = first == 0 or one.k[first] > one.k[first - 1] + 1
-            rests = float(closing[first : last + 1].max()) < MOVES_MPS
-            shallow = room[first : last + 1].min() > -DEEP_M
-            doubt = SUDDEN if begins else TOO_LARGE if rests else SHALLOW if shallow else ""
-            yield log.event(one, first, last, closing[first], doubt=doubt)
+    for user in log.neighbours:
+        gaps = _gaps(log.boxes, log.car, user.pose, user.k, np.array(user.size))
+        ego_vx, ego_vy = log.boxes[-2:, user.k]
+        vx, vy = user.pose[-2:]
+        closing = np.hypot(vx - ego_vx, vy - ego_vy)
+        for first, last in runs(gaps <= 0.0, user.k, hole=steps(0.5)):
+            doubt = ""
+            if first == 0 or user.k[first] > user.k[first - 1] + 1:
+                doubt = SUDDEN
+            elif float(closing[first : last + 1].max()) < MOVES_MPS:
+                doubt = TOO_LARGE
+            elif gaps[first : last + 1].min() > -DEEP_M:
+                doubt = SHALLOW
+            yield log.event(user, first, last, closing[first], doubt=doubt)
 
 
 def _near_miss_pet(log: DrivenLog) -> Iterator[Event]:
-    for one, i, j in _conflicts(log):
+    for user, i, j in _conflicts(log):
         pet = abs(float(log.t[j] - log.t[i]))
         moving = abs(float(log.ego.v[i])) > MOVES_MPS
         if pet <= PET_S and moving:
-            who = "the ego was there first" if i <= j else "the ego was there second"
-            yield log.event_at(one, min(i, j), max(i, j), pet, who)
+            order = "the ego was there first" if i <= j else "the ego was there second"
+            yield log.event_at(user, min(i, j), max(i, j), pet, order)
 
 
 def _ego_yields(log: DrivenLog) -> Iterator[Event]:
-    for one, i, j in _conflicts(log):
+    for user, i, j in _conflicts(log):
         slowed = _step_of_slowing(log.ego.v, log.station, j, i) if j < i else -1
         if slowed >= 0:
-            yield log.event_at(one, slowed, i, float(log.t[i] - log.t[j]))
+            yield log.event_at(user, slowed, i, float(log.t[i] - log.t[j]))
 
 
 def _ego_is_yielded_to(log: DrivenLog) -> Iterator[Event]:
-    for one, i, j in _conflicts(log):
-        at = int(np.searchsorted(one.k, j))
-        whole = one.k[at] - one.k[0] == at  # seen without a gap until then
-        if i >= j or not whole:
+    for user, i, j in _conflicts(log):
+        arrival = int(np.searchsorted(user.k, j))
+        is_whole = user.k[arrival] - user.k[0] == arrival  # seen without a gap until then
+        if i >= j or not is_whole:
             continue
-        way = arc_lengths(*one.pose[:2])
-        first = int(np.searchsorted(one.k, i))
-        slowed = _step_of_slowing(one.speed, way, min(first, at), at)
+        travelled = arc_lengths(*user.pose[:2])
+        ego_arrival = int(np.searchsorted(user.k, i))
+        slowed = _step_of_slowing(user.speed, travelled, min(ego_arrival, arrival), arrival)
         if slowed >= 0:
-            yield log.event_at(one, int(one.k[slowed]), j, float(log.t[j] - log.t[i]))
+            yield log.event_at(user, int(user.k[slowed]), j, float(log.t[j] - log.t[i]))
 
 
-def _step_of_slowing(v: FloatArray, way: FloatArray, first: int, at: int) -> int:
+def _step_of_slowing(v: FloatArray, travelled: FloatArray, first: int, arrival: int) -> int:
     """The step at which the second one begins to slow down for the first one; -1 if it does not.
 
     Args:
         v: `(n,)` its speed, m/s.
-        way: `(n,)` distance that it has moved, m.
+        travelled: `(n,)` distance that it has moved, m.
         first: The step at which the first one is at the place.
-        at: The step at which the second one is there.
+        arrival: The step at which the second one is there.
     """
     begin = max(first - steps(BEFORE_S), 0)
     if first <= begin:
         return -1
     before = v[begin : first + 1]
     fastest = begin + int(len(before) - 1 - np.argmax(before[::-1]))
-    least = float(v[fastest : at + 1].min())
+    slowest = float(v[fastest : arrival + 1].min())
     speed = float(v[fastest])
-    if speed < MOVES_MPS or speed - least < max(SLOWED_MPS, SLOWED * speed):
+    if speed < MOVES_MPS or speed - slowest < max(SLOWED_MPS, SLOWED * speed):
         return -1
     # Step at which it would have come
-    undisturbed = fastest + float(way[at] - way[fastest]) / speed / GRID_S
+    undisturbed = fastest + float(travelled[arrival] - travelled[fastest]) / speed / GRID_S
     return fastest if undisturbed < first + steps(CLOSE_S) else -1
 
 
@@ -153,25 +159,24 @@ def _conflicts(log: DrivenLog) -> tuple[tuple[Neighbour, int, int], ...]:
     """Each road user in conflict with the ego, with the steps of the ego and of the other at the
     least PET.
     """
-    found = []
+    conflicts = []
     size = np.array([log.car.length, log.car.width])
     low, high = log.boxes[:2].min(axis=1) - 10.0, log.boxes[:2].max(axis=1) + 10.0
-    for one in log.neighbours:
-        moves = one.speed > MOVES_MPS
+    for user in log.neighbours:
+        moves = user.speed > MOVES_MPS
         if not moves.any():
             continue
-        near: BoolArray = ((one.pose[:2] >= low[:, None]) & (one.pose[:2] <= high[:, None])).all(
-            axis=0
-        )
-        angle = 0.0 if one.kind is AgentKind.PEDESTRIAN else CROSSING_RAD
+        places = user.pose[:2].T
+        near: BoolArray = ((places >= low) & (places <= high)).all(axis=1)
+        angle = 0.0 if user.kind is AgentKind.PEDESTRIAN else CROSSING_RAD
         use = near & moves
-        pose = np.ascontiguousarray(one.pose[:, use])
+        pose = np.ascontiguousarray(user.pose[:, use])
         i, j = _least_encroachment(
-            log.boxes, size, pose, one.k[use], np.array(one.size), angle, steps(WINDOW_S)
+            log.boxes, size, pose, user.k[use], np.array(user.size), angle, steps(WINDOW_S)
         )
         if i >= 0:
-            found.append((one, i, j))
-    return tuple(found)
+            conflicts.append((user, i, j))
+    return tuple(conflicts)
 
 
 @kernel
@@ -225,15 +230,17 @@ def _courses(
 
     Inf and 0 beyond the horizon, s.
     """
-    out = np.zeros((2, len(k)))
-    out[0] = inf
+    courses = np.zeros((2, len(k)))
+    courses[0] = inf
     reach = 0.5 * (hypot(car.length, car.width) + hypot(size[0], size[1]))
     for m in range(len(k)):
-        x, y, yaw, vx, vy = ego[0, k[m]], ego[1, k[m]], ego[2, k[m]], ego[3, k[m]], ego[4, k[m]]
+        x, y, yaw = ego[0, k[m]], ego[1, k[m]], ego[2, k[m]]
+        vx, vy = ego[3, k[m]], ego[4, k[m]]
         if hypot(vx, vy) <= NO_TTC_MPS:
             continue
         rear_x, rear_y = x - car.axle * np.cos(yaw), y - car.axle * np.sin(yaw)
-        px, py, heading, ux, uy = pose[0, m], pose[1, m], pose[2, m], pose[3, m], pose[4, m]
+        px, py, heading = pose[0, m], pose[1, m], pose[2, m]
+        ux, uy = pose[3, m], pose[4, m]
         away, closing = hypot(px - x, py - y), hypot(ux - vx, uy - vy)
         if away - reach > horizon * closing or is_behind(rear_x, rear_y, yaw, px, py):
             continue
@@ -262,12 +269,12 @@ def _courses(
             )
             ttc = max(ttc, turning)
         if ttc < horizon:
-            out[0, m], out[1, m] = ttc, closing**2 / (2.0 * (closing * ttc + DEEP_M))  # (2)
-    return out
+            courses[0, m], courses[1, m] = ttc, closing**2 / (2.0 * (closing * ttc + DEEP_M))  # (2)
+    return courses
 
 
 @kernel
-def _rooms(
+def _gaps(
     ego: FloatArray, car: EgoOutline, pose: FloatArray, k: IntArray, size: FloatArray
 ) -> FloatArray:
     """Distance of the boxes of the ego `(5, n)` at the steps `k` and of a road user `(5, m)`, m,
@@ -275,14 +282,14 @@ def _rooms(
 
     Minus how deep they overlap; inf where their circles are more than `NEAR_M` apart.
     """
-    out = np.full(len(k), inf)
+    gaps = np.full(len(k), inf)
     reach = 0.5 * (hypot(car.length, car.width) + hypot(size[0], size[1])) + NEAR_M
     for m in range(len(k)):
         x, y, yaw = ego[0, k[m]], ego[1, k[m]], ego[2, k[m]]
         u, v, turned = pose[0, m], pose[1, m], pose[2, m]
         if hypot(u - x, v - y) <= reach:
-            out[m] = clearance(x, y, yaw, car.length, car.width, u, v, turned, size[0], size[1])
-    return out
+            gaps[m] = clearance(x, y, yaw, car.length, car.width, u, v, turned, size[0], size[1])
+    return gaps
 
 
 CONFLICTS = (

@@ -142,7 +142,7 @@ class Neighbour:
     @property
     def speed(self) -> FloatArray:
         """`(m,)` m/s."""
-        return np.hypot(self.pose[3], self.pose[4])
+        return np.hypot(*self.pose[-2:])
 
     def reaches_into(self, half: float) -> BoolArray:
         """Whether it reaches into the band (3), `(m,)`."""
@@ -174,9 +174,9 @@ class DrivenLog:
         self.ego: Trajectory = scenario.ego.resampled(self.t)
         self.boxes, self.car = ego_boxes(self.ego, scenario), car_of(scenario)
         self.half = 0.5 * self.car.width
-        way = arc_lengths(self.ego.x, self.ego.y)
+        arc = arc_lengths(self.ego.x, self.ego.y)
         points = thinned(np.column_stack([self.ego.x, self.ego.y]), 1.0)
-        if way[-1] < SHORT_M or len(points) < 2:
+        if arc[-1] < SHORT_M or len(points) < 2:
             ahead = SHORT_M * np.array([np.cos(self.ego.yaw[0]), np.sin(self.ego.yaw[0])])
             points = np.vstack([points[0], points[0] + ahead])
         self.path = ReferenceLine.through(points)
@@ -244,19 +244,19 @@ class DrivenLog:
 
         A road user that comes towards the ego is not a lead.
         """
-        who, gap = np.full(len(self.t), -1, np.int64), np.full(len(self.t), np.inf)
-        for place, one in enumerate(self.neighbours):
-            mine = self.gap_to(one)
+        leads, gaps = np.full(len(self.t), -1, np.int64), np.full(len(self.t), np.inf)
+        for index, user in enumerate(self.neighbours):
+            gap = self.gap_to(user)
             closer = (
-                one.reaches_into(self.half) & (one.along > 0.0) & (mine > -0.5 * self.car.length)
+                user.reaches_into(self.half) & (user.along > 0.0) & (gap > -0.5 * self.car.length)
             )
-            closer &= mine < gap[one.k]
-            who[one.k[closer]], gap[one.k[closer]] = place, mine[closer]
-        return who, np.where(who >= 0, np.maximum(gap, 0.0), np.nan)
+            closer &= gap < gaps[user.k]
+            leads[user.k[closer]], gaps[user.k[closer]] = index, gap[closer]
+        return leads, np.where(leads >= 0, np.maximum(gaps, 0.0), np.nan)
 
     def event(
         self,
-        one: Neighbour,
+        user: Neighbour,
         first: int,
         last: int,
         value: float,
@@ -265,30 +265,30 @@ class DrivenLog:
         doubt: str = "",
     ) -> Event:
         """An event of a road user between two of its places."""
-        return self.event_at(one, int(one.k[first]), int(one.k[last]), value, what, doubt=doubt)
+        return self.event_at(user, int(user.k[first]), int(user.k[last]), value, what, doubt=doubt)
 
     def event_at(
-        self, one: Neighbour, i: int, j: int, value: float, what: str = "", *, doubt: str = ""
+        self, user: Neighbour, i: int, j: int, value: float, what: str = "", *, doubt: str = ""
     ) -> Event:
         """An event of a road user between two steps of the grid."""
-        if one.kind is AgentKind.OBJECT:
+        if user.kind is AgentKind.OBJECT:
             doubt = "; ".join(filter(None, (doubt, UNCLASSIFIED)))
-        return Event(float(self.t[i]), float(self.t[j]), float(value), (one.id,), what, doubt)
+        return Event(float(self.t[i]), float(self.t[j]), float(value), (user.id,), what, doubt)
 
-    def gap_to(self, one: Neighbour) -> FloatArray:
+    def gap_to(self, user: Neighbour) -> FloatArray:
         """`(m,)` way along the path from the ego's front bumper to a road user's nearest part
         ahead, m.
         """
-        return one.s - one.half_s - self.front[one.k]
+        return user.s - user.half_s - self.front[user.k]
 
     def reached(self, s: FloatArray) -> FloatArray:
         """Times at which the ego's front bumper reaches stations `(m,)`, s; NaN if it starts beyond
         or never does.
         """
         front = np.maximum.accumulate(self.front)
-        at = np.searchsorted(front, s)
-        inside = (at > 0) & (at < len(front))
-        return np.where(inside, self.t[np.minimum(at, len(self.t) - 1)], np.nan)
+        step = np.searchsorted(front, s)
+        inside = (step > 0) & (step < len(front))
+        return np.where(inside, self.t[np.minimum(step, len(self.t) - 1)], np.nan)
 
 
 def runs(
@@ -326,11 +326,11 @@ def steps(seconds: float) -> int:
 @kernel
 def _own_stations(knots: FloatArray, coef: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
     """Stations `(n,)` of the rear axle, m."""
-    out, s = np.empty(len(x)), 0.0
+    stations, s = np.empty(len(x)), 0.0
     for i in range(len(x)):
         s, _ = line_project(knots, coef, x[i], y[i], s, OWN_M)
-        out[i] = s
-    return out
+        stations[i] = s
+    return stations
 
 
 @kernel
@@ -340,11 +340,11 @@ def _on_path(
     """Station, offset and heading against the path `(3, m)` of poses `(5, m)` at the steps `k`
     `(m,)`.
     """
-    out, s = np.empty((3, len(k))), 0.0
+    frame, s = np.empty((3, len(k))), 0.0
     for i in range(len(k)):
         fresh = i == 0 or k[i] > k[i - 1] + 1
         guess, window = (station[i], SEARCH_M) if fresh else (s, FOLLOW_M)
         s, l = line_project(knots, coef, pose[0, i], pose[1, i], guess, window)
-        out[0, i], out[1, i] = s, l
-        out[2, i] = wrap(pose[2, i] - line_frame(knots, coef, s)[2])
-    return out
+        frame[0, i], frame[1, i] = s, l
+        frame[2, i] = wrap(pose[2, i] - line_frame(knots, coef, s)[2])
+    return frame

@@ -61,19 +61,20 @@ def stays(log: DrivenLog) -> tuple[Stay, ...]:
     for i, flags in on.items():
         for first, last in runs(flags):
             until[i][first : last + 1] = last
-    found: list[Stay] = []
-    k, now = 0, -1
+    driven: list[Stay] = []
+    k, lane_id = 0, -1
     while k < len(x):
-        here = [i for i in on if until[i][k] >= k]
-        if not here:
+        ends = {i: int(until[i][k]) for i in on if until[i][k] >= k}
+        if not ends:
             k += 1
             continue
-        after = road.lanes[now].successors if now in road.lanes else ()
-        beside = _neighbours(road, now)
-        now = max(here, key=lambda i: (2 * (i in after) + (i in beside), until[i][k], -i))
-        found.append(Stay(road.lanes[now], k, int(until[now][k])))
-        k = int(until[now][k]) + 1
-    return tuple(found)
+        successors = road.lanes[lane_id].successors if lane_id in road.lanes else ()
+        beside = _neighbours(road, lane_id)
+        rank = {i: 2 * (i in successors) + (i in beside) for i in ends}
+        lane_id = max(ends, key=lambda i: (rank[i], ends[i], -i))
+        driven.append(Stay(road.lanes[lane_id], k, ends[lane_id]))
+        k = ends[lane_id] + 1
+    return tuple(driven)
 
 
 def _neighbours(road: Road, lane: int) -> set[int]:
@@ -95,8 +96,8 @@ def crosses_others(road: Road, x: float, y: float) -> bool:
 
 def _heading_at(lane: Lane, x: float, y: float) -> float:
     middle = 0.5 * (lane.center[1:] + lane.center[:-1])
-    at = int(np.argmin(np.hypot(middle[:, 0] - x, middle[:, 1] - y)))
-    dx, dy = lane.center[at + 1] - lane.center[at]
+    nearest = int(np.argmin(np.hypot(middle[:, 0] - x, middle[:, 1] - y)))
+    dx, dy = lane.center[nearest + 1] - lane.center[nearest]
     return float(np.arctan2(dy, dx))
 
 
@@ -105,21 +106,21 @@ def in_roundabout(road: Road, lane: Lane) -> bool:
     `ROUND`.
     """
     waiting: list[tuple[int, float, tuple[int, ...]]] = [(lane.id, 0.0, ())]
-    seen: set[int] = set()
+    visited: set[int] = set()
     while waiting:
-        i, length, way = waiting.pop()
-        length, way = length + road.lanes[i].length, (*way, i)
+        i, length, circle = waiting.pop()
+        length, circle = length + road.lanes[i].length, (*circle, i)
         if length > ROUNDABOUT_M:
             continue
-        for after in road.lanes[i].successors:
-            if after == lane.id:
-                points = np.vstack([road.lanes[j].center for j in way])
+        for successor in road.lanes[i].successors:
+            if successor == lane.id:
+                points = np.vstack([road.lanes[j].center for j in circle])
                 away = np.hypot(*(points - points.mean(axis=0)).T)
                 if away.std() < ROUND * away.mean():
                     return True
-            elif after in road.lanes and after not in seen:
-                seen.add(after)
-                waiting.append((after, length, way))
+            elif successor in road.lanes and successor not in visited:
+                visited.add(successor)
+                waiting.append((successor, length, circle))
     return False
 
 
@@ -144,16 +145,16 @@ def _hard_braking(log: DrivenLog) -> Iterator[Event]:
 def _lane_change(log: DrivenLog) -> Iterable[Event] | Unavailable:
     if not _has_map(log):
         return NO_LANES
-    found, road, lanes = [], log.scenario.road, stays(log)
+    events, road, lanes = [], log.scenario.road, stays(log)
     for before, now in pairwise(lanes):
-        ways = {before.lane.id, *before.lane.successors}
-        beside = {i for way in ways for i in _neighbours(road, way)}
+        ahead = {before.lane.id, *before.lane.successors}
+        beside = {i for lane_id in ahead for i in _neighbours(road, lane_id)}
         beside |= {
             i for other in _neighbours(road, before.lane.id) for i in road.lanes[other].successors
         }
         short = now.last - now.first < steps(STAYS_S) and now.last < len(log.t) - 1
         if (
-            now.lane.id in ways
+            now.lane.id in ahead
             or now.lane.id not in beside
             or now.first > before.last + steps(1.0)
             or short
@@ -164,8 +165,8 @@ def _lane_change(log: DrivenLog) -> Iterable[Event] | Unavailable:
         heading = _heading_at(now.lane, float(log.boxes[0, k]), float(log.boxes[1, k]))
         side = "left" if dy * np.cos(heading) - dx * np.sin(heading) > 0.0 else "right"
         around = _span(log, k - steps(CHANGE_S), k + steps(CHANGE_S))
-        found.append(Event(*around, float(log.ego.v[k]), what=side))
-    return found
+        events.append(Event(*around, float(log.ego.v[k]), what=side))
+    return events
 
 
 def _turns(log: DrivenLog) -> Iterator[tuple[float, float, float]]:
@@ -206,7 +207,7 @@ def _lines_on_way(log: DrivenLog) -> Iterator[tuple[StopLine, float]]:
 def _unprotected_turn(log: DrivenLog) -> Iterable[Event] | Unavailable:
     if not _has_map(log):
         return NO_LANES
-    road, found = log.scenario.road, []
+    road, events = log.scenario.road, []
     lights = [s for line, s in _lines_on_way(log) if line.light is not None]
     across = "left" if road.drives_on_right else "right"
     for first, last, angle in _turns(log):
@@ -214,18 +215,19 @@ def _unprotected_turn(log: DrivenLog) -> Iterable[Event] | Unavailable:
         lit = any(first - LIGHT_BEFORE_M < s < last for s in lights)
         if lit or not any(crosses_others(road, *point) for point in points):
             continue
-        at = np.flatnonzero((log.front >= first) & (log.back <= last))
-        if len(at):
+        steps_in_turn = np.flatnonzero((log.front >= first) & (log.back <= last))
+        if len(steps_in_turn):
             side = "left" if angle > 0.0 else "right"
             words = f"{side}, across oncoming traffic" if side == across else side
-            found.append(Event(*_span(log, int(at[0]), int(at[-1])), angle, what=words))
-    return found
+            ends = _span(log, int(steps_in_turn[0]), int(steps_in_turn[-1]))
+            events.append(Event(*ends, angle, what=words))
+    return events
 
 
 def _merge(log: DrivenLog) -> Iterable[Event] | Unavailable:
     if not _has_map(log):
         return NO_LANES
-    road, found = log.scenario.road, []
+    road, events = log.scenario.road, []
     into = predecessors({i: lane for i, lane in road.lanes.items() if lane.drivable})
     lanes = stays(log)
     for before, now in pairwise(lanes):
@@ -239,25 +241,25 @@ def _merge(log: DrivenLog) -> Iterable[Event] | Unavailable:
             and abs(wrap(_heading_at(lane, *lane.center[-1]) - heading)) < MERGE_RAD
         ]
         met: dict[str, float] = {}
-        for one in log.neighbours if others else ():
-            if one.kind in (AgentKind.PEDESTRIAN, AgentKind.OBJECT):
+        for user in log.neighbours if others else ():
+            if user.kind in (AgentKind.PEDESTRIAN, AgentKind.OBJECT):
                 continue
-            x, y, yaw = one.pose[:3]
-            away = np.hypot(x - log.boxes[0, one.k], y - log.boxes[1, one.k])
+            x, y, yaw = user.pose[:3]
+            away = np.hypot(x - log.boxes[0, user.k], y - log.boxes[1, user.k])
             near = (
-                (np.abs(one.k - now.first) <= steps(MERGE_S))
+                (np.abs(user.k - now.first) <= steps(MERGE_S))
                 & (away <= MERGE_M)
-                & (one.speed > 0.5)
+                & (user.speed > 0.5)
             )
             if near.any() and any(
                 on_lane(lane, x[near], y[near], yaw[near]).any() for lane in others
             ):
-                met[one.id] = float(away[near].min())
+                met[user.id] = float(away[near].min())
         if met:
             around = _span(log, now.first - steps(MERGE_S), now.first + steps(MERGE_S))
             nearest = sorted(met, key=lambda name: (met[name], name))
-            found.append(Event(*around, met[nearest[0]], tuple(nearest)))
-    return found
+            events.append(Event(*around, met[nearest[0]], tuple(nearest)))
+    return events
 
 
 def _roundabout(log: DrivenLog) -> Iterable[Event] | Unavailable:
@@ -278,7 +280,7 @@ def _red_light(log: DrivenLog) -> Iterable[Event] | Unavailable:
     lines = [(line, s) for line, s in _lines_on_way(log) if line.light in lights]
     if not lights:
         return Unavailable("the log has no traffic light")
-    found = []
+    events = []
     for line, s in lines:
         assert line.light is not None
         light = lights[line.light]
@@ -286,47 +288,47 @@ def _red_light(log: DrivenLog) -> Iterable[Event] | Unavailable:
         ahead = s - log.front
         for first, last in runs(red & (ahead > -0.5) & (ahead < LIGHT_BEFORE_M), least=steps(0.5)):
             slowest = float(np.abs(log.ego.v[first : last + 1]).min())
-            found.append(Event(*_span(log, first, last), slowest, what=f"stop line {line.id}"))
-    return found
+            events.append(Event(*_span(log, first, last), slowest, what=f"stop line {line.id}"))
+    return events
 
 
 def _stop_sign(log: DrivenLog) -> Iterable[Event] | Unavailable:
     if not any(line.must_stop for line in log.scenario.road.stop_lines):
         return Unavailable("the log's map has no stop sign")
-    found = []
+    events = []
     for line, s in _lines_on_way(log):
         ahead = s - log.front
         near = (ahead > -0.5) & (ahead < STOP_BEFORE_M)
         for first, last in runs(near) if line.must_stop else ():
             slowest = float(np.abs(log.ego.v[first : last + 1]).min())
-            found.append(Event(*_span(log, first, last), slowest, what=f"stop line {line.id}"))
-    return found
+            events.append(Event(*_span(log, first, last), slowest, what=f"stop line {line.id}"))
+    return events
 
 
 def _crosswalk(log: DrivenLog) -> Iterable[Event] | Unavailable:
     if not log.scenario.road.crosswalks:
         return Unavailable("the log's map has no crosswalk")
     s = np.arange(0.0, log.path.length + 1e-9, 0.5)
-    way: FloatArray = np.array([log.path.frame(at)[:2] for at in s.tolist()])
-    found = []
+    path: FloatArray = np.array([log.path.frame(station)[:2] for station in s.tolist()])
+    events = []
     for crosswalk in log.scenario.road.crosswalks:
         low, high = crosswalk.polygon.min(axis=0), crosswalk.polygon.max(axis=0)
-        if not ((way >= low) & (way <= high)).all(axis=1).any():
+        if not ((path >= low) & (path <= high)).all(axis=1).any():
             continue
-        on = np.array([inside(float(x), float(y), crosswalk.polygon) for x, y in way])
+        on = np.array([inside(float(x), float(y), crosswalk.polygon) for x, y in path])
         for a, b in runs(on):
             for first, last in runs((log.front >= s[a]) & (log.back <= s[b])):
                 around = []
-                for one in log.neighbours:
-                    xy = one.pose[:2, (one.k >= first) & (one.k <= last)].T
+                for user in log.neighbours:
+                    xy = user.pose[:2, (user.k >= first) & (user.k <= last)].T
                     near = ((xy >= low - WALKER_M) & (xy <= high + WALKER_M)).all(axis=1).any()
-                    if one.kind is AgentKind.PEDESTRIAN and near:
-                        around.append(one.id)
+                    if user.kind is AgentKind.PEDESTRIAN and near:
+                        around.append(user.id)
                 v = float(log.ego.v[first])
-                found.append(
+                events.append(
                     Event(*_span(log, first, last), v, tuple(around), f"crosswalk {crosswalk.id}")
                 )
-    return found
+    return events
 
 
 EGO_AND_ROAD = (

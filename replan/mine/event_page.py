@@ -89,31 +89,28 @@ def event_picture(scenario: Scenario, trace: Trace, row: Mapping[str, Any]) -> C
     )
     middle = min(max(0.5 * (begin + end), first), last)
     agents = list(row["agents"])
-    words, shown = (
-        str(row["kind"]).replace("_", " "),
-        SceneSubject(Moment(middle, "as asked"), trace, scenario),
-    )
-    above = scene(shown, middle, words, agents)
+    words = str(row["kind"]).replace("_", " ")
+    subject = SceneSubject(Moment(middle, "as asked"), trace, scenario)
+    above = scene(subject, middle, words, agents)
 
     inside = (trace.ego.t >= begin - AROUND_S) & (trace.ego.t <= end + AROUND_S)
     curves = [Curve("ego", "ego", trace.ego.t[inside], np.abs(trace.ego.v[inside]))]
     if agents and agents[0] in scenario.tracks.ids:
-        mine, motion = (
-            scenario.tracks.samples(scenario.tracks.ids.index(agents[0])),
-            scenario.tracks.motion,
-        )
-        t, speed = scenario.tracks.t[mine], np.hypot(motion.vx[mine], motion.vy[mine])
+        tracks = scenario.tracks
+        samples = tracks.samples(tracks.ids.index(agents[0]))
+        t = tracks.t[samples]
+        speed = np.hypot(tracks.motion.vx[samples], tracks.motion.vy[samples])
         near = (t >= begin - AROUND_S) & (t <= end + AROUND_S)
         curves.append(Curve("other", scenario.short_names(agents[0]), t[near], speed[near]))
     panel = Panel(
         "speed", "Speed [m/s]", tuple(curve for curve in curves if len(curve.known)), 2.0, floor=0.0
     )
-    says = f"{row['kind']} at {begin:.1f} s, of {', '.join(map(str, agents)) or 'the ego alone'}"
+    caption = f"{row['kind']} at {begin:.1f} s, of {', '.join(map(str, agents)) or 'the ego alone'}"
     if not panel.curves:
-        return replace(above, name=str(row["kind"]), title=words, says=says)
+        return replace(above, name=str(row["kind"]), title=words, says=caption)
     span = max(begin - AROUND_S, first), max(min(end + AROUND_S, last), first + 0.1)
     below = panel_chart(panel, span, [Span(begin, end, "", words)], shade="calm")
-    return stacked([above, below], str(row["kind"]), words, says)
+    return stacked([above, below], str(row["kind"]), words, caption)
 
 
 def write_events_page(folder: Path, events: pd.DataFrame, logs: pd.DataFrame) -> None:
@@ -123,25 +120,20 @@ def write_events_page(folder: Path, events: pd.DataFrame, logs: pd.DataFrame) ->
     Raises:
         OutputError: The page cannot be written.
     """
-    about = {row["log"]: row for row in logs.to_dict("records")}
+    log_rows = {row["log"]: row for row in logs.to_dict("records")}
     rows = []
     for row in list[Any](events.head(MOST_ROWS).to_dict("records")):
-        log = about[row["log"]]
+        log = log_rows[row["log"]]
         picture = picture_of(row, str(log["sha256"]))
-        begin, end = (
-            max(row["t_from_s"] - AROUND_S, 0.0),
-            min(row["t_to_s"] + AROUND_S, log["duration_s"]),
-        )
+        begin = max(row["t_from_s"] - AROUND_S, 0.0)
+        end = min(row["t_to_s"] + AROUND_S, log["duration_s"])
         part = [str(log["source"]), "--from", f"{begin:.1f}", "--to", f"{end:.1f}"]
         commands = [
             join(["replan", word, *part])
             for word in ("evaluate", *(["view"] if log["sha256"] else []))
         ]
-        value = (
-            f"{row['value']:.3g} {row['unit'] if row['unit'] != '1' else ''}"
-            if isfinite(row["value"])
-            else ""
-        )
+        unit = "" if row["unit"] == "1" else row["unit"]
+        value = f"{row['value']:.3g} {unit}" if isfinite(row["value"]) else ""
         shown = picture if (folder / picture).is_file() else ""
         rows.append({**row, "picture": shown, "commands": commands, "shown": value})
     page = rendered(

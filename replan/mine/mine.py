@@ -9,9 +9,9 @@ the number of workers. What is found in a log is added to study.jsonl as the log
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from math import isfinite, isinf
 from pathlib import Path
@@ -34,7 +34,8 @@ from replan.metrics.metric import Unavailable
 from replan.mine.driven_log import DrivenLog, Event, EventKind
 from replan.mine.ego_and_road import crosses_others, in_roundabout, stays
 from replan.mine.event_page import PAGE, PICTURES, draw_events, write_events_page
-from replan.mine.kinds import EVENT_KIND, KINDS, PLAN_KINDS, plan_events
+from replan.mine.kinds import EVENT_KIND, KINDS
+from replan.mine.plan_kinds import PlanKind, plan_events
 from replan.replay.loop.reference_drives import discriminate
 from replan.results.schema import names_of, read_json, read_table, typed
 from replan.results.tables import write_json, write_parquet, write_text
@@ -46,7 +47,8 @@ from replan.run.pool import WorkerLost, run_all
 from replan.run.resume import Study, identity_of, stamp_of
 from replan.run.sources import LogSource, Selection, log_hash
 
-EVENTS, LOGS, HEALTH, CARD = "events.parquet", "logs.parquet", "health.parquet", "mined.json"
+EVENTS, LOGS, HEALTH = "events.parquet", "logs.parquet", "health.parquet"
+CARD = "mined.json"
 CONTENTS = FolderContents(
     "mine",
     (
@@ -99,6 +101,14 @@ class MinedLog:
     health: Sequence[dict[str, Any]] = ()
     failures: tuple[str, ...] = ()
 
+    def with_name(self, name: str) -> MinedLog:
+        """The log under another name, also in its rows."""
+        events, health = (
+            [{**row, "log": name} for row in rows] for rows in (self.events, self.health)
+        )
+        row = {**self.row, "log": name}
+        return replace(self, name=name, row=row, events=events, health=health)
+
 
 @dataclass(frozen=True, eq=False)
 class Mined:
@@ -134,7 +144,7 @@ def mine(
         selection: The logs.
         run: Settings for reading logs, and of the planners.
         kinds: "module:NAME" of kinds of your own, beside the built-in ones.
-        planners: Planners that plan open loop over each log: the kinds of `replan.mine.kinds`.
+        planners: Planners that plan open loop over each log: `replan.mine.plan_kinds`.
         workers: Number of child processes; 0: this process.
         study: Has what is found in logs that need not be mined again, and gets what is found in the
             others.
@@ -149,46 +159,53 @@ def mine(
         mine_log, run=run, kinds=tuple(kinds), planners=tuple(planners), pictures=pictures
     )
     keys = [] if study is None else [identity_of(source) for source in selection.sources]
-    rows = {} if study is None else {index: study.known(key) for index, key in enumerate(keys)}
-    found = {index: MinedLog(**row["mined"]) for index, row in rows.items() if row is not None}
-    for one in found.values():
-        on_log(one)
-    left = [index for index in range(len(selection.sources)) if index not in found]
-    sources = [selection.sources[index] for index in left]
-    if workers == 0:
-        ended: Iterator[tuple[int, MinedLog | WorkerLost]] = (
-            (i, job(one)) for i, one in enumerate(sources)
-        )
-    else:
-        drive = partial(
-            run_all, job, workers=max(1, min(workers, len(sources))), one_first=is_cache_cold()
-        )
-        ended = longest_first(sources, drive, lambda source: source.expected_s)
-    for place, outcome in ended:
-        index, label = left[place], sources[place].label
+    logs: dict[int, MinedLog] = {}
+    for i, key in enumerate(keys):
+        row = None if study is None else study.known(key)
+        if row is not None:
+            logs[i] = MinedLog(**row["mined"])
+            on_log(logs[i])
+    sources = {i: source for i, source in enumerate(selection.sources) if i not in logs}
+    for i, outcome in _mine_each(job, sources, workers):
+        label = sources[i].label
         if isinstance(outcome, WorkerLost):
             outcome = _not_mined(label, f"{label}: not mined: {outcome.reason}")
-        found[index] = outcome
-        if study is not None and not found[index].failures:
-            study.add([{"key": keys[index], "mined": asdict(found[index])}])
-        on_log(found[index])
-    logs = [found[index] for index in sorted(found)]
-    names = told_apart([log.name for log in logs], [str(log.row["sha256"]) for log in logs])
-    for place, (log, name) in enumerate(zip(logs, names, strict=True)):
-        row, *both = [{**each, "log": name} for each in (log.row, *log.events, *log.health)]
-        logs[place] = MinedLog(
-            name, row, both[: len(log.events)], both[len(log.events) :], log.failures
-        )
+        logs[i] = outcome
+        if study is not None and not outcome.failures:
+            study.add([{"key": keys[i], "mined": asdict(outcome)}])
+        on_log(outcome)
     if study is not None:
         study.keep(key for key in keys if study.known(key) is not None)
-    events = [row for log in logs for row in log.events]
-    findings = [row for log in logs for row in log.health]
+    named = _with_names([logs[i] for i in sorted(logs)])
+    events = [row for log in named for row in log.events]
+    findings = [row for log in named for row in log.health]
     return Mined(
         _table(EVENTS, events, ["log", "t_from_s", "kind", "t_to_s"]),
-        _table(LOGS, [log.row for log in logs], ["log"]),
+        _table(LOGS, [log.row for log in named], ["log"]),
         _table(HEALTH, findings, ["log", "t_from_s", "kind"]),
-        tuple(line for log in logs for line in log.failures),
+        tuple(line for log in named for line in log.failures),
     )
+
+
+def _mine_each(
+    job: Callable[[LogSource], MinedLog], sources: Mapping[int, LogSource], workers: int
+) -> Iterator[tuple[int, MinedLog | WorkerLost]]:
+    """The outcome of each source, by its index, as they end."""
+    if workers == 0:
+        yield from ((i, job(source)) for i, source in sources.items())
+        return
+    drive = partial(
+        run_all, job, workers=max(1, min(workers, len(sources))), one_first=is_cache_cold()
+    )
+    indices = list(sources)
+    ended = longest_first(list(sources.values()), drive, lambda source: source.expected_s)
+    yield from ((indices[place], outcome) for place, outcome in ended)
+
+
+def _with_names(logs: Sequence[MinedLog]) -> list[MinedLog]:
+    """The logs with names that tell them apart, also in their rows."""
+    names = told_apart([log.name for log in logs], [str(log.row["sha256"]) for log in logs])
+    return [log.with_name(name) for log, name in zip(logs, names, strict=True)]
 
 
 def _table(name: str, rows: Sequence[dict[str, Any]], keys: list[str]) -> pd.DataFrame:
@@ -278,38 +295,26 @@ def mine_log(
             not_asked.append(f"{kind.name}: the log holds one ego state only: there is no drive")
             continue
         try:
-            found = kind.find(log)
-            events = [] if isinstance(found, Unavailable) else list(found)
-            for event in events:
-                times = (
-                    isinstance(event, Event)
-                    and isfinite(event.begin)
-                    and event.begin <= event.end < np.inf
-                )
-                if not times or isinf(event.value):
-                    raise ValueError(
-                        f"{event!r} is not an Event with a finite value that begins before it ends"
-                    )
+            events = _events_of(kind, log)
         except Exception as error:
             why = described(error, of=kind.find)
             failures.append(f"{scenario.name}: event kind '{kind.name}': {why}")
             continue
-        rows += [_row(log, kind, event, "") for event in events]
-        if isinstance(found, Unavailable):
-            not_asked.append(f"{kind.name}: {found.reason}")
+        if isinstance(events, Unavailable):
+            not_asked.append(f"{kind.name}: {events.reason}")
+        else:
+            rows += [_row(log, kind, event, "") for event in events]
     for planner in planners if log is not None else ():
         try:
             assert log is not None
-            rows += [
-                _row(log, PLAN_KINDS[name], event, planner)
-                for name, event in plan_events(log, planner, run)
-            ]
+            planned = plan_events(log, planner, run)
+            rows += [_row(log, kind, event, planner) for kind, event in planned]
         except ReplanError as error:
             failures.append(f"{scenario.name}: {error} [{planner}]")
-    about, apart = scenario.metadata, dict[str, str]()
+    metadata, apart = scenario.metadata, dict[str, str]()
     if log is not None:
         breaks = discriminate(scenario, run.drive_loop)
-        apart = {f"{one.driver}_breaks": str(one.breaks or "") for one in breaks}
+        apart = {f"{driven.driver}_breaks": str(driven.breaks or "") for driven in breaks}
     row = {
         "log": scenario.name,
         "source": source.label,
@@ -321,8 +326,8 @@ def mine_log(
         "family": scenario.family,
         "dataset": scenario.dataset,
         "tags": list(scenario.tags),
-        "place": next((about[key] for key in PLACES if about.get(key)), ""),
-        "weather": next((about[key] for key in WEATHERS if about.get(key)), ""),
+        "place": next((metadata[key] for key in PLACES if metadata.get(key)), ""),
+        "weather": next((metadata[key] for key in WEATHERS if metadata.get(key)), ""),
         "not_asked": not_asked,
         "error": "",
         **dict.fromkeys(BREAKS, ""),
@@ -336,6 +341,21 @@ def mine_log(
     )
 
 
+def _events_of(kind: EventKind, log: DrivenLog) -> list[Event] | Unavailable:
+    """The events of a kind in a log; ValueError if one is not valid."""
+    events = kind.find(log)
+    if isinstance(events, Unavailable):
+        return events
+    events = list(events)
+    for event in events:
+        is_event = isinstance(event, Event) and isfinite(event.begin) and not isinf(event.value)
+        if not is_event or not event.begin <= event.end < np.inf:
+            raise ValueError(
+                f"{event!r} is not an Event with a finite value that begins before it ends"
+            )
+    return events
+
+
 def markers(scenario: Scenario) -> tuple[Marker, ...]:
     """The events of the built-in kinds in a log, for its recording.
 
@@ -343,21 +363,18 @@ def markers(scenario: Scenario) -> tuple[Marker, ...]:
     """
     if len(scenario.ego) < 2:
         return ()
-    log, made = DrivenLog(scenario), list[Marker]()
+    log, drawn = DrivenLog(scenario), list[Marker]()
     for kind in KINDS.values():
-        found = kind.find(log)
-        for event in () if isinstance(found, Unavailable) else found:
+        events = kind.find(log)
+        for event in () if isinstance(events, Unavailable) else events:
             unit = "" if kind.unit == "1" else f" {kind.unit}"
             value = f"{event.value:.3g}{unit}" if isfinite(event.value) else ""
-            more = ", ".join(
-                filter(None, (event.what, value, event.doubt and f"in doubt: {event.doubt}"))
-            )
-            about = (
-                ", ".join(map(scenario.short_names, event.agents)),
-                f"({more})" if more else "",
-            )
-            made.append(Marker(event.begin, event.end, kind.name, " ".join(filter(None, about))))
-    return tuple(made)
+            doubt = f"in doubt: {event.doubt}" if event.doubt else ""
+            details = ", ".join(filter(None, (event.what, value, doubt)))
+            agents = ", ".join(map(scenario.short_names, event.agents))
+            text = " ".join(filter(None, (agents, f"({details})" if details else "")))
+            drawn.append(Marker(event.begin, event.end, kind.name, text))
+    return tuple(drawn)
 
 
 def _plain(row: Mapping[Any, Any]) -> dict[str, Any]:
@@ -375,34 +392,14 @@ def _load_kinds(kinds: Sequence[str]) -> tuple[EventKind, ...]:
     return (*KINDS.values(), *(EVENT_KIND.find(name) for name in kinds if name not in KINDS))
 
 
-def _row(log: DrivenLog, kind: EventKind, event: Event, planner: str) -> dict[str, Any]:
+def _row(log: DrivenLog, kind: EventKind | PlanKind, event: Event, planner: str) -> dict[str, Any]:
     """A row of events.parquet."""
     tracks = log.scenario.tracks
-    k = int(np.clip(np.searchsorted(log.t, event.begin - 1e-6), 0, len(log.t) - 1))
-    middle = int(
-        np.clip(np.searchsorted(log.t, 0.5 * (event.begin + event.end)), 0, len(log.t) - 1)
-    )
+    begin, middle = np.searchsorted(
+        log.t, (event.begin - 1e-6, 0.5 * (event.begin + event.end))
+    ).clip(max=len(log.t) - 1)
     main = event.agents[0] if event.agents else ""
-    v = float(abs(log.ego.v[k]))
-    here = log.scenario.road
-    around = (
-        log.path.frame(float(log.station[middle]) + away)[:2]
-        for away in (-JUNCTION_M, 0.0, JUNCTION_M)
-    )
-    if here.source is not RoadSource.LANES:
-        road = "no lanes"
-    elif any(
-        in_roundabout(here, stay.lane) for stay in stays(log) if stay.first <= middle <= stay.last
-    ):
-        road = "roundabout"
-    elif any(crosses_others(here, x, y) for x, y in around):
-        road = "junction"
-    else:
-        road = (
-            "curve"
-            if abs(log.path.frame(float(log.station[middle]))[3]) > CURVE_KAPPA
-            else "straight"
-        )
+    v = float(abs(log.ego.v[begin]))
     return {
         "log": log.scenario.name,
         "kind": kind.name,
@@ -410,11 +407,11 @@ def _row(log: DrivenLog, kind: EventKind, event: Event, planner: str) -> dict[st
         "t_to_s": event.end,
         "agents": list(event.agents),
         "agent_kind": tracks.kinds[tracks.ids.index(main)].value if main in tracks.ids else ALONE,
-        "road": road,
+        "road": _kind_of_road(log, int(middle)),
         "speed": next((name for bound, name in SPEEDS if v < bound), FASTER),
         "v_mps": v,
-        "x_m": float(log.ego.x[k]),
-        "y_m": float(log.ego.y[k]),
+        "x_m": float(log.ego.x[begin]),
+        "y_m": float(log.ego.y[begin]),
         "value": float(event.value),
         "unit": kind.unit,
         "what": event.what,
@@ -423,19 +420,33 @@ def _row(log: DrivenLog, kind: EventKind, event: Event, planner: str) -> dict[st
     }
 
 
+def _kind_of_road(log: DrivenLog, step: int) -> str:
+    """One of `ROADS`, where the ego is at a step."""
+    road, station = log.scenario.road, float(log.station[step])
+    if road.source is not RoadSource.LANES:
+        return "no lanes"
+    lanes = [stay.lane for stay in stays(log) if stay.first <= step <= stay.last]
+    if any(in_roundabout(road, lane) for lane in lanes):
+        return "roundabout"
+    around = [log.path.frame(station + ahead)[:2] for ahead in (-JUNCTION_M, 0.0, JUNCTION_M)]
+    if any(crosses_others(road, x, y) for x, y in around):
+        return "junction"
+    *_, kappa = log.path.frame(station)
+    return "curve" if abs(kappa) > CURVE_KAPPA else "straight"
+
+
 def _not_mined(label: str, line: str) -> MinedLog:
-    numbers = dict.fromkeys(("duration_s", "driven_m"))
-    words = dict.fromkeys(("sha256", "family", "dataset", "place", "weather", *BREAKS), "")
-    lists: dict[str, Any] = {"tags": [], "not_asked": []}
-    row = {
+    words = ("sha256", "family", "dataset", "place", "weather", *BREAKS)
+    row: dict[str, Any] = {
         "log": label,
         "source": label,
         "agents": 0,
         "lanes": False,
         "error": line,
-        **numbers,
-        **words,
-        **lists,
+        **dict.fromkeys(("duration_s", "driven_m")),
+        **dict.fromkeys(words, ""),
+        "tags": [],
+        "not_asked": [],
     }
     return MinedLog(label, row, failures=(line,))
 
@@ -452,10 +463,10 @@ def summary(mined: Mined) -> list[str]:
     ).iterrows():
         lines.append(f"    {kind!s:{width}}  {events:5d} in {counted(int(logs), 'log')}")
     reasons = Counter(line for row in read["not_asked"] for line in row)
-    by_reason: dict[tuple[str, int], list[str]] = {}
+    by_reason = defaultdict(list)
     for line, number in reasons.items():
         kind, _, reason = line.partition(": ")
-        by_reason.setdefault((reason, number), []).append(kind)
+        by_reason[reason, number].append(kind)
     for (reason, number), kinds in by_reason.items():
         kinds = ["all kinds"] if set(kinds) >= set(KINDS) else kinds
         lines.append(

@@ -20,6 +20,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
 from hashlib import sha256
+from itertools import groupby
 from math import isfinite
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -63,7 +64,8 @@ LOCKED = (
     "SET threads = 1",  # a fixed order of rows without ORDER BY
     "SET lock_configuration = true",
 )
-MEMORY_GB, SPILLED_GB, RESULT_GB, TIME_S = 2, 20, 1, 300.0
+MEMORY_GB, SPILLED_GB, RESULT_GB = 2, 20, 1
+TIME_S = 300.0
 """Limits of a query: memory of DuckDB, disk space where that is not enough, memory of the result,
 time.
 """
@@ -196,23 +198,23 @@ def moments(
     )
     if rows.empty:
         raise ConfigError(f"nothing to cut: no row of {table} with a time where {where}")
-    found: list[FoundMoment] = []
+    parts: list[FoundMoment] = []
     kinds = rows["kind"] if "kind" in rows else pd.Series(table, rows.index)
     for log, begin, end, kind in zip(
         rows["log"], rows[times[0]], rows[times[1]], kinds, strict=True
     ):
-        one = FoundMoment(str(log), float(begin) - before, float(end) + after, (str(kind),))
-        last = found[-1] if found else None
-        if last is not None and last.log == one.log and one.begin <= last.end:
-            joined = tuple(sorted({*last.kinds, *one.kinds}))
-            found[-1] = FoundMoment(one.log, last.begin, max(last.end, one.end), joined)
+        part = FoundMoment(str(log), float(begin) - before, float(end) + after, (str(kind),))
+        last = parts[-1] if parts else None
+        if last is not None and last.log == part.log and part.begin <= last.end:
+            joined = tuple(sorted({*last.kinds, *part.kinds}))
+            parts[-1] = FoundMoment(part.log, last.begin, max(last.end, part.end), joined)
         else:
-            found.append(one)
-    return found
+            parts.append(part)
+    return parts
 
 
 def cut_logs(
-    folder: Path, found: Sequence[FoundMoment], out: Path, *, resume: bool = False
+    folder: Path, parts: Sequence[FoundMoment], out: Path, *, resume: bool = False
 ) -> Iterator[Path]:
     """Write a native log per moment into a folder; yields each file when it is written.
 
@@ -226,47 +228,45 @@ def cut_logs(
     """
     settings = load_run(folder / "run.toml").log
     logs = views(folder)["logs"]().drop_duplicates("log").set_index("log")
-    unknown = [one.log for one in found if one.log not in logs.index]
+    unknown = [part.log for part in parts if part.log not in logs.index]
     if unknown:
         raise LogError(
             f"no log is called '{unknown[0]}' in its logs",
             file=folder,
             remedy="make these results again",
         )
-    labels = {one: f"{one.log}_{max(one.begin, 0.0):.1f}s" for one in found}
+    labels = {part: f"{part.log}_{max(part.begin, 0.0):.1f}s" for part in parts}
     names = safe_names(labels.values())
-    asked = [[*astuple(one), str(logs.loc[one.log, "sha256"])] for one in found]
+    inputs = [[*astuple(part), str(logs.loc[part.log, "sha256"])] for part in parts]
     head = {
         "study": CUTS.command,
         "replan": replan_version(),
-        "moments": sha256(repr(asked).encode()).hexdigest(),
+        "moments": sha256(repr(inputs).encode()).hexdigest(),
     }
-    with claimed_folder(out, CUTS, resume=resume) as out:
-        study = Study(out, head, resume=resume)
-        scenario: Scenario | None = None
-        for last, one in zip([None, *found], found, strict=False):
-            name = f"{names[labels[one]]}.mcap"
-            if last is None or last.log != one.log:
-                scenario = None
-            if study.known(name) is None:
-                if scenario is None:
-                    scenario = scenario_of(folder, logs.loc[one.log].to_dict(), settings)
-                write_scenario(out / name, _part(scenario, one))
-                study.add([{"key": name}])
-            yield out / name
+    with claimed_folder(out, CUTS, resume=resume) as cuts:
+        study = Study(cuts, head, resume=resume)
+        for log, moments_of_log in groupby(parts, key=lambda part: part.log):
+            scenario: Scenario | None = None
+            for part in moments_of_log:
+                name = f"{names[labels[part]]}.mcap"
+                if study.known(name) is None:
+                    scenario = scenario or scenario_of(folder, logs.loc[log].to_dict(), settings)
+                    write_scenario(cuts / name, _part(scenario, part))
+                    study.add([{"key": name}])
+                yield cuts / name
 
 
-def _part(scenario: Scenario, one: FoundMoment) -> Scenario:
+def _part(scenario: Scenario, moment: FoundMoment) -> Scenario:
     """The part of a log that a moment is, with its origin; LogError if it is too short."""
-    begin = max(one.begin, float(scenario.ego.t[0]))
-    end = min(one.end, scenario.duration)
+    begin = max(moment.begin, float(scenario.ego.t[0]))
+    end = min(moment.end, scenario.duration)
     if not (isfinite(begin) and end - begin >= LEAST_S):
-        much = f"from {one.begin:.1f} to {one.end:.1f} s there is less than {LEAST_S} s of the log"
-        raise LogError(f"{one.log}: {much}")
+        ends = f"from {moment.begin:.1f} to {moment.end:.1f} s"
+        raise LogError(f"{moment.log}: {ends} there is less than {LEAST_S} s of the log")
     part = in_nanoseconds(cut_scenario(scenario, begin, end))
     origin = {"cut.of": scenario.name, "cut.from_s": repr(begin), "cut.to_s": repr(end)}
-    origin["cut.kinds"] = " ".join(one.kinds)
-    tags = tuple(dict.fromkeys((*scenario.tags, *one.kinds)))
+    origin["cut.kinds"] = " ".join(moment.kinds)
+    tags = tuple(dict.fromkeys((*scenario.tags, *moment.kinds)))
     notes = [f"Cut from {scenario.name}, from {begin:.1f} to {end:.1f} s."]
     x, y = ego_boxes(part.ego, part)[:2]
     if part.goal is not None and not any(

@@ -48,7 +48,8 @@ SLOWED_MPS, SLOWED = 1.0, 0.3
 before.
 """
 LEAD_S, LEAD_M = 4.0, 15.0
-QUEUE, QUEUE_MPS, QUEUE_GAP_M, QUEUE_AHEAD_M, QUEUE_S = 3, 0.5, 15.0, 60.0, 2.0
+QUEUE, QUEUE_MPS, QUEUE_S = 3, 0.5, 2.0
+QUEUE_GAP_M, QUEUE_AHEAD_M = 15.0, 60.0
 ONCOMING_AHEAD_M, ONCOMING_S, HEAD_ON = 60.0, 1.0, float(np.cos(np.pi / 9.0))
 CYCLIST_BESIDE_M, CYCLIST_AHEAD_M, CYCLIST_S = 2.0, 30.0, 1.0
 PASS_MPS, PASS_M, PASS_VULNERABLE_M = 3.0, 0.5, 1.5
@@ -61,111 +62,113 @@ BESIDE_CROSSWALK_M = 2.0
 _VEHICLES = (AgentKind.CAR, AgentKind.TRUCK, AgentKind.BUS, AgentKind.MOTORCYCLE)
 
 
-def _changes(flags: BoolArray, one: Neighbour, before: int, after: int) -> Iterator[int]:
+def _changes(flags: BoolArray, user: Neighbour, before: int, after: int) -> Iterator[int]:
     """Places at which a mark begins, after `before` unmarked steps and with `after` marked ones,
     all consecutive.
 
     For a road user that is lost before `after` steps, half of them are enough.
     """
-    ends = dict(runs(flags, one.k))
-    for first, last in runs(~flags, one.k, before):
+    ends = dict(runs(flags, user.k))
+    for first, last in runs(~flags, user.k, before):
         start = last + 1
-        if start not in ends or one.k[start] != one.k[last] + 1 or last - first + 1 < before:
+        if start not in ends or user.k[start] != user.k[last] + 1 or last - first + 1 < before:
             continue
-        stay, lost = ends[start] - start + 1, ends[start] == len(one.k) - 1
+        stay, lost = ends[start] - start + 1, ends[start] == len(user.k) - 1
         if stay >= after or (lost and 2 * stay >= after):
             yield start
 
 
-def _near_ahead(log: DrivenLog, one: Neighbour, j: int) -> bool:
+def _near_ahead(log: DrivenLog, user: Neighbour, j: int) -> bool:
     """Whether a road user is near enough ahead of the moving ego that its change of lane concerns
     the ego.
     """
-    gap, v = float(log.gap_to(one)[j]), float(log.ego.v[one.k[j]])
+    gap, v = float(log.gap_to(user)[j]), float(log.ego.v[user.k[j]])
     return (
         0.0 < gap <= max(HEADWAY_S * v, HEADWAY_M)
         and v > MOVES_MPS
-        and float(one.speed[j]) > MOVES_MPS
+        and float(user.speed[j]) > MOVES_MPS
     )
 
 
-def _moved_aside(one: Neighbour, j: int) -> bool:
+def _moved_aside(user: Neighbour, j: int) -> bool:
     """Whether it was its own motion that changed its place in the band: more than half a metre
     across its heading.
 
     A change because the path bends away from a road user that goes straight on is ignored.
     """
-    low, high = max(j - steps(2.0), 0), min(j + steps(1.0), len(one.k) - 1)
-    yaw = np.unwrap(one.pose[2, low : high + 1])
-    dx, dy = one.pose[0, high] - one.pose[0, low], one.pose[1, high] - one.pose[1, low]
+    low, high = max(j - steps(2.0), 0), min(j + steps(1.0), len(user.k) - 1)
+    yaw = np.unwrap(user.pose[2, low : high + 1])
+    dx, dy = user.pose[0, high] - user.pose[0, low], user.pose[1, high] - user.pose[1, low]
     aside = abs(dy * np.cos(yaw[0]) - dx * np.sin(yaw[0]))
     return bool(
-        abs(one.l[high] - one.l[low]) > 0.5 and (aside > 0.5 or abs(yaw[-1] - yaw[0]) > 0.1)
+        abs(user.l[high] - user.l[low]) > 0.5 and (aside > 0.5 or abs(yaw[-1] - yaw[0]) > 0.1)
     )
 
 
 def _cut_in(log: DrivenLog) -> Iterator[Event]:
-    for one in log.neighbours:
-        if one.kind not in (*_VEHICLES, AgentKind.BICYCLE):
+    for user in log.neighbours:
+        if user.kind not in (*_VEHICLES, AgentKind.BICYCLE):
             continue
         back = steps(AROUND_S)
-        for j in _changes(one.reaches_into(log.half), one, back, back):
-            turned = (one.along[j - back : j + 1] < ALONG).any()
-            if not turned and _near_ahead(log, one, j) and _moved_aside(one, j):
-                last = min(j + back, len(one.k) - 1)
-                yield log.event(one, j, last, log.gap_to(one)[j])
+        for j in _changes(user.reaches_into(log.half), user, back, back):
+            turned = (user.along[j - back : j + 1] < ALONG).any()
+            if not turned and _near_ahead(log, user, j) and _moved_aside(user, j):
+                last = min(j + back, len(user.k) - 1)
+                yield log.event(user, j, last, log.gap_to(user)[j])
 
 
 def _cut_out(log: DrivenLog) -> Iterator[Event]:
-    for one in log.neighbours:
-        if one.kind not in _VEHICLES:
+    for user in log.neighbours:
+        if user.kind not in _VEHICLES:
             continue
         back = steps(AROUND_S)
-        for j in _changes(~one.reaches_into(log.half), one, back, back):
-            was_lead = log.lead[0][one.k[j - 1]]
-            mine = was_lead >= 0 and log.neighbours[was_lead] is one
-            if mine and one.along[j] > 0.5 and _near_ahead(log, one, j) and _moved_aside(one, j):
-                yield log.event(one, j - back, j, log.gap_to(one)[j])
+        for j in _changes(~user.reaches_into(log.half), user, back, back):
+            was_lead = log.lead[0][user.k[j - 1]]
+            is_lead = was_lead >= 0 and log.neighbours[was_lead] is user
+            leaves = user.along[j] > 0.5 and _near_ahead(log, user, j) and _moved_aside(user, j)
+            if is_lead and leaves:
+                yield log.event(user, j - back, j, log.gap_to(user)[j])
 
 
 def _lead_braking(log: DrivenLog) -> Iterator[Event]:
-    who, gap = log.lead
-    for place in np.unique(who[who >= 0]).tolist():
-        one = log.neighbours[place]
-        near = gap[one.k] <= np.maximum(LEAD_S * log.ego.v[one.k], LEAD_M)
-        possible = one.accel >= -TYRES_MPS2
-        braking = (who[one.k] == place) & near & (one.accel <= -BRAKES_MPS2)
-        for first, last in runs(braking & possible, one.k, steps(BRAKES_S), steps(HOLE_S)):
+    leads, gap = log.lead
+    for index in np.unique(leads[leads >= 0]).tolist():
+        user = log.neighbours[index]
+        near = gap[user.k] <= np.maximum(LEAD_S * log.ego.v[user.k], LEAD_M)
+        possible = user.accel >= -TYRES_MPS2
+        braking = (leads[user.k] == index) & near & (user.accel <= -BRAKES_MPS2)
+        for first, last in runs(braking & possible, user.k, steps(BRAKES_S), steps(HOLE_S)):
             around = slice(max(first - steps(FELT_S), 0), last + steps(FELT_S) + 1)
-            sound = (possible & (one.accel <= MOTOR_MPS2))[around].all()
-            least = one.accel[first : last + 1][possible[first : last + 1]].min()
-            yield log.event(one, first, last, least, doubt="" if sound else JUMPS)
+            sound = (possible & (user.accel <= MOTOR_MPS2))[around].all()
+            least = user.accel[first : last + 1][possible[first : last + 1]].min()
+            yield log.event(user, first, last, least, doubt="" if sound else JUMPS)
 
 
 def _ego_slows(log: DrivenLog) -> Iterator[Event]:
-    who, gap = log.lead
-    near = (who >= 0) & (gap <= np.maximum(LEAD_S * log.ego.v, LEAD_M))
+    leads, gap = log.lead
+    near = (leads >= 0) & (gap <= np.maximum(LEAD_S * log.ego.v, LEAD_M))
     for first, last in runs(log.accel <= -SLOWS_MPS2, least=steps(SLOWS_S), hole=steps(HOLE_S)):
         begin = max(first - steps(FELT_S), 0)  # where the mean over `FELT_S` begins
         before, slower = float(log.ego.v[begin]), float(log.ego.v[begin] - log.ego.v[last])
-        for_whom = who[begin : last + 1][near[begin : last + 1]]
-        if slower < max(SLOWED_MPS, SLOWED * before) or 2 * len(for_whom) < last - begin + 1:
+        near_leads = leads[begin : last + 1][near[begin : last + 1]]
+        if slower < max(SLOWED_MPS, SLOWED * before) or 2 * len(near_leads) < last - begin + 1:
             continue
-        names, times = np.unique(for_whom, return_counts=True)
+        names, times = np.unique(near_leads, return_counts=True)
         yield log.event_at(log.neighbours[int(names[np.argmax(times)])], begin, last, slower)
 
 
 def _standing_queue(log: DrivenLog) -> Iterator[Event]:
     standing: dict[int, list[tuple[float, float, str]]] = {}
-    for one in log.neighbours:
-        if one.kind not in _VEHICLES:
+    for user in log.neighbours:
+        if user.kind not in _VEHICLES:
             continue
-        gap = log.gap_to(one)
-        ahead = (gap > 0.0) & (gap < QUEUE_AHEAD_M) & (one.speed < QUEUE_MPS)
-        for j in np.flatnonzero(ahead & one.reaches_into(log.half) & (one.along > ALONG)).tolist():
-            rear = float(one.s[j] - one.half_s[j])
-            standing.setdefault(int(one.k[j]), []).append(
-                (rear, rear + 2.0 * float(one.half_s[j]), one.id)
+        gap = log.gap_to(user)
+        stands = (gap > 0.0) & (gap < QUEUE_AHEAD_M) & (user.speed < QUEUE_MPS)
+        stands &= user.reaches_into(log.half) & (user.along > ALONG)
+        for j in np.flatnonzero(stands).tolist():
+            rear = float(user.s[j] - user.half_s[j])
+            standing.setdefault(int(user.k[j]), []).append(
+                (rear, rear + 2.0 * float(user.half_s[j]), user.id)
             )
     members: list[tuple[str, ...]] = [()] * len(log.t)
     for k, row in standing.items():
@@ -180,98 +183,99 @@ def _standing_queue(log: DrivenLog) -> Iterator[Event]:
 
 
 def _oncoming(log: DrivenLog) -> Iterator[Event]:
-    for one in log.neighbours:
-        if one.kind in (AgentKind.PEDESTRIAN, AgentKind.OBJECT):
+    for user in log.neighbours:
+        if user.kind in (AgentKind.PEDESTRIAN, AgentKind.OBJECT):
             continue
-        gap = log.gap_to(one)
+        gap = log.gap_to(user)
         coming = (
-            (one.along < -HEAD_ON)
-            & (one.speed > MOVES_MPS)
+            (user.along < -HEAD_ON)
+            & (user.speed > MOVES_MPS)
             & (gap > 0.0)
             & (gap < ONCOMING_AHEAD_M)
         )
         for first, last in runs(
-            coming & one.reaches_into(log.half), one.k, steps(ONCOMING_S), steps(HOLE_S)
+            coming & user.reaches_into(log.half), user.k, steps(ONCOMING_S), steps(HOLE_S)
         ):
-            yield log.event(one, first, last, gap[first : last + 1].min())
+            yield log.event(user, first, last, gap[first : last + 1].min())
 
 
 def _cyclist_along(log: DrivenLog) -> Iterator[Event]:
-    for one in log.neighbours:
-        if one.kind is not AgentKind.BICYCLE:
+    for user in log.neighbours:
+        if user.kind is not AgentKind.BICYCLE:
             continue
-        gap = log.gap_to(one)
-        beside = np.abs(one.l) - one.half_l - log.half < CYCLIST_BESIDE_M
+        gap = log.gap_to(user)
+        beside = np.abs(user.l) - user.half_l - log.half < CYCLIST_BESIDE_M
         near = (gap > -log.car.length) & (gap < CYCLIST_AHEAD_M) & beside
         for first, last in runs(
-            near & (one.along > ALONG) & (one.speed > MOVES_MPS),
-            one.k,
+            near & (user.along > ALONG) & (user.speed > MOVES_MPS),
+            user.k,
             steps(CYCLIST_S),
             steps(HOLE_S),
         ):
             yield log.event(
-                one, first, last, (np.abs(one.l) - one.half_l - log.half)[first : last + 1].min()
+                user, first, last, (np.abs(user.l) - user.half_l - log.half)[first : last + 1].min()
             )
 
 
 def _close_pass(log: DrivenLog) -> Iterator[Event]:
-    for one in log.neighbours:
-        room = np.abs(one.l) - one.half_l - log.half
-        bound = PASS_VULNERABLE_M if one.kind.is_vulnerable else PASS_M
-        beside = (one.s + one.half_s > log.back[one.k]) & (one.s - one.half_s < log.front[one.k])
-        along = np.abs(one.along) > ALONG
-        if one.kind in (AgentKind.PEDESTRIAN, AgentKind.OBJECT):
+    for user in log.neighbours:
+        gaps = np.abs(user.l) - user.half_l - log.half
+        bound = PASS_VULNERABLE_M if user.kind.is_vulnerable else PASS_M
+        rear, front = user.s - user.half_s, user.s + user.half_s
+        beside = (front > log.back[user.k]) & (rear < log.front[user.k])
+        along = np.abs(user.along) > ALONG
+        if user.kind in (AgentKind.PEDESTRIAN, AgentKind.OBJECT):
             # The heading of a pedestrian or object is not meaningful
-            along = np.ones(len(one.k), np.bool_)
-            along &= one.speed < MOVES_MPS if one.kind is AgentKind.OBJECT else one.speed < 3.0
-        passed = beside & along & (room < bound) & (room >= 0.0) & (log.ego.v[one.k] > PASS_MPS)
-        for first, last in runs(passed, one.k, hole=steps(HOLE_S)):
-            yield log.event(one, first, last, room[first : last + 1].min())
+            along = np.ones(len(user.k), np.bool_)
+            along &= user.speed < MOVES_MPS if user.kind is AgentKind.OBJECT else user.speed < 3.0
+        passed = beside & along & (gaps < bound) & (gaps >= 0.0) & (log.ego.v[user.k] > PASS_MPS)
+        for first, last in runs(passed, user.k, hole=steps(HOLE_S)):
+            yield log.event(user, first, last, gaps[first : last + 1].min())
 
 
 def _crossing(
-    log: DrivenLog, who: AgentKind = AgentKind.PEDESTRIAN, *, off_crosswalks: bool = False
+    log: DrivenLog, kind: AgentKind = AgentKind.PEDESTRIAN, *, off_crosswalks: bool = False
 ) -> Iterable[Event] | Unavailable:
     if off_crosswalks and not log.scenario.road.crosswalks:
         return Unavailable("the log's map has no crosswalk")
     if log.scenario.tracks.kinds and set(log.scenario.tracks.kinds) == {AgentKind.OBJECT}:
         return Unavailable("the log does not say what its road users are")
-    found = []
-    for one in log.neighbours:
-        if one.kind is not who:
+    events = []
+    for user in log.neighbours:
+        if user.kind is not kind:
             continue
         # The road user is in the band ahead of the ego
-        for first, last in runs(one.reaches_into(log.half), one.k):
-            low, high = max(first - steps(1.0), 0), min(last + steps(1.0), len(one.k) - 1)
-            aside = abs(float(one.l[high] - one.l[low]))
+        for first, last in runs(user.reaches_into(log.half), user.k):
+            low, high = max(first - steps(1.0), 0), min(last + steps(1.0), len(user.k) - 1)
+            aside = abs(float(user.l[high] - user.l[low]))
             walked = aside > max(log.half, WALKS_MPS * 0.1 * (high - low))
             # Who rides along the path, and swerves, does not cross it
-            if who is not AgentKind.PEDESTRIAN:
-                walked &= float(np.median(np.abs(one.along[low : high + 1]))) < ALONG
+            if kind is not AgentKind.PEDESTRIAN:
+                walked &= float(np.median(np.abs(user.along[low : high + 1]))) < ALONG
             comes = (
-                log.reached(one.s[first : last + 1] - one.half_s[first : last + 1])
-                - log.t[one.k[first : last + 1]]
+                log.reached(user.s[first : last + 1] - user.half_s[first : last + 1])
+                - log.t[user.k[first : last + 1]]
             )
-            gap = log.gap_to(one)[first : last + 1]
-            waits = log.ego.v[one.k[first : last + 1]] < WAITS_MPS
+            gap = log.gap_to(user)[first : last + 1]
+            waits = log.ego.v[user.k[first : last + 1]] < WAITS_MPS
             concerns = (np.abs(comes) <= CROSSING_S) | (
                 (gap > 0.0) & (gap < CROSSING_AHEAD_M) & waits
             )
             if not (walked and (gap > 0.0).any() and concerns.any()):
                 continue
             # A crosswalk, or within `BESIDE_CROSSWALK_M` of one
-            on = np.zeros(last - first + 1, np.bool_)
-            x, y = one.pose[0, first : last + 1], one.pose[1, first : last + 1]
+            on_crosswalk = np.zeros(last - first + 1, np.bool_)
+            x, y = user.pose[0, first : last + 1], user.pose[1, first : last + 1]
             for crosswalk in log.scenario.road.crosswalks if off_crosswalks else ():
                 center = crosswalk.polygon.mean(axis=0)
                 away = np.hypot(*(crosswalk.polygon - center).T)[:, None]
                 wider = center + (crosswalk.polygon - center) * (
                     1.0 + BESIDE_CROSSWALK_M / np.maximum(away, 1.0)
                 )
-                on |= points_inside(wider, x, y)
-            if 2 * on.sum() < len(on):
-                found.append(log.event(one, first, last, max(float(gap.min()), 0.0)))
-    return found
+                on_crosswalk |= points_inside(wider, x, y)
+            if 2 * on_crosswalk.sum() < len(on_crosswalk):
+                events.append(log.event(user, first, last, max(float(gap.min()), 0.0)))
+    return events
 
 
 _NEAR = f"within {HEADWAY_S:g} s or {HEADWAY_M:g} m"
@@ -370,7 +374,7 @@ ROAD_USERS = (
     ),
     EventKind(
         "cyclist_crossing",
-        partial(_crossing, who=AgentKind.BICYCLE),
+        partial(_crossing, kind=AgentKind.BICYCLE),
         "The same of a cyclist, who moves across the ego's path, by 45 degrees or more.",
         "least gap",
         "m",

@@ -95,7 +95,7 @@ def test_a_car_that_stays_in_its_lane_neither_cuts_in_nor_out() -> None:
     assert not {"cut_in", "cut_out"} & found(log).keys()
 
 
-def test_a_lane_change_of_the_ego_is_no_cut_in_of_who_drives_there() -> None:
+def test_a_lane_change_of_the_ego_is_no_cut_in_of_another_vehicle() -> None:
     ego = changing(T, 10.0, 3.0, 3.0)
     log = scenario(ego, [car("there", moving(30.0, 3.5, 10.0, 0.0))], road=straight_road(lanes=2))
     events = found(log)
@@ -173,7 +173,7 @@ def test_a_contact_has_its_speed_and_its_doubts() -> None:
     assert event.doubt == SHALLOW
 
 
-def test_a_queue_is_three_or_more_who_stand_in_the_band() -> None:
+def test_a_queue_is_three_or_more_vehicles_that_stand_in_the_band() -> None:
     stand = [car(str(i), moving(60.0 + 8.0 * i, 0.0, 0.0, 0.0, 0.0)) for i in range(4)]
     ego = along(T, stopping(T, 10.0, 2.0, 2.0))
     (event,) = found(scenario(ego, stand))["standing_queue"]
@@ -181,7 +181,7 @@ def test_a_queue_is_three_or_more_who_stand_in_the_band() -> None:
     assert "standing_queue" not in found(scenario(ego, stand[:2]))
 
 
-def test_who_comes_towards_the_ego_in_its_band() -> None:
+def test_an_oncoming_vehicle_in_the_band_is_an_event() -> None:
     head_on = car("7", moving(100.0, 0.3, -8.0, 0.0))
     assert [event.agents for event in found(scenario(along(T, 2.0), [head_on]))["oncoming"]] == [
         ("7",)
@@ -190,7 +190,7 @@ def test_who_comes_towards_the_ego_in_its_band() -> None:
     assert "oncoming" not in found(scenario(along(T, 2.0), [passing]))
 
 
-def test_room_to_a_cyclist_and_to_a_parked_car() -> None:
+def test_a_close_pass_has_the_distance_to_a_cyclist_and_to_a_parked_car() -> None:
     bike = car("b", moving(20.0, -2.0, 4.0, 0.0), AgentKind.BICYCLE, BIKE)
     events = found(scenario(along(T, 10.0), [bike]))
     assert [event.agents for event in events["cyclist_along"]] == [("b",)]
@@ -233,7 +233,7 @@ def test_a_log_without_kinds_is_not_asked_for_pedestrians() -> None:
     )
 
 
-def test_who_yields_to_whom() -> None:
+def test_the_second_of_two_crossing_road_users_yields() -> None:
     v = np.where(
         T < 2.0, 8.0, np.maximum(8.0 - 2.0 * (T - 2.0), np.where(T > 7.0, 2.0 * (T - 7.0), 0.0))
     )
@@ -406,7 +406,9 @@ def test_events_do_not_depend_on_where_the_log_lies(
 
 
 @given(st.lists(st.booleans(), max_size=40), st.integers(1, 5), st.integers(0, 4))
-def test_runs_cover_what_is_marked_and_are_apart(marks: list[bool], least: int, hole: int) -> None:
+def test_runs_cover_the_marked_places_and_are_apart(
+    marks: list[bool], least: int, hole: int
+) -> None:
     flags = np.array(marks, bool)
     spans = list(runs(flags, None, least, hole))
     assert all(flags[first] and flags[last] and last - first + 1 >= least for first, last in spans)

@@ -17,10 +17,11 @@ from replan.core.errors import ConfigError
 from replan.logs.catalogue import scenario
 from replan.logs.mcap import write_scenario
 from replan.logs.readers import read_log
-from replan.mine.coverage import CELL, ChosenLog, cells, gaps, smallest_cover, suite_writer
+from replan.mine.coverage import CELL, cells_of, missing_cells
 from replan.mine.driven_log import Event, EventKind
 from replan.mine.event_page import MOST_OF_A_KIND, PAGE, PICTURES, picture_of
 from replan.mine.mine import EVENTS, HEALTH, LOGS, mine_log
+from replan.mine.suite import ChosenLog, smallest_cover, suite_writer
 from replan.results.tables import write_parquet
 from replan.run.sources import suite_file
 
@@ -74,7 +75,7 @@ def test_each_event_is_a_row_of_the_page_and_the_first_of_a_kind_have_a_picture(
         )
 
 
-def test_what_was_not_looked_for_is_named(mined: Path) -> None:
+def test_kinds_that_a_log_lacks_data_for_are_named(mined: Path) -> None:
     table = pd.read_parquet(mined / LOGS).set_index("log")
     assert any(line.startswith("red_light: ") for line in table.loc["paper/free_road", "not_asked"])
     events = pd.read_parquet(mined / EVENTS)
@@ -90,7 +91,7 @@ def test_a_log_that_cannot_be_read_costs_itself(logs: Path, tmp_path: Path) -> N
     assert len(table) == len(NAMES) + 1 and (table["error"] != "").sum() == 1
 
 
-def test_a_kind_of_ones_own_is_found_and_a_broken_one_costs_itself(
+def test_a_kind_of_a_user_is_found_and_a_broken_one_costs_itself(
     logs: Path, tmp_path: Path
 ) -> None:
     own = [
@@ -109,7 +110,7 @@ def test_a_kind_of_ones_own_is_found_and_a_broken_one_costs_itself(
     assert "no event kind is called 'nix'" in one_error(replan("mine", logs, "--kind", "nix"))
 
 
-def test_a_planner_adds_where_its_plans_differ(logs: Path, tmp_path: Path) -> None:
+def test_a_planner_adds_events_where_its_plans_differ(logs: Path, tmp_path: Path) -> None:
     replan(
         "mine",
         logs / "everyday_cut_in.mcap",
@@ -280,8 +281,8 @@ def test_a_suite_names_logs_of_any_name(
             ],
             place,
         )
-    found, url = suite_file(place / "suites" / "suite.toml")
-    assert Path(found).resolve() == log.resolve() and url == "s3://bucket/x.mcap"
+    sources, url = suite_file(place / "suites" / "suite.toml")
+    assert Path(sources).resolve() == log.resolve() and url == "s3://bucket/x.mcap"
     assert not Path(
         tomllib.loads((place / "suites" / "suite.toml").read_text("utf-8"))["logs"][0]
     ).is_absolute()
@@ -317,7 +318,7 @@ def test_a_planner_with_settings_is_mined_and_one_that_cannot_be_built_costs_its
 
 
 @pytest.mark.parametrize(
-    ("limit", "value", "sql", "said"),
+    ("limit", "value", "sql", "message"),
     [
         (
             "TIME_S",
@@ -336,15 +337,15 @@ def test_a_query_has_limits(
     limit: str,
     value: float,
     sql: str,
-    said: str,
+    message: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(f"replan.mine.query.{limit}", value)
     result = replan("query", mined, sql)
-    assert result.exit_code == 2 and said in one_error(result) and not list(tmp_path.iterdir())
+    assert result.exit_code == 2 and message in one_error(result) and not list(tmp_path.iterdir())
 
 
-def test_what_would_begin_too_much_or_nothing_is_one_line(mined: Path, tmp_path: Path) -> None:
+def test_wrong_options_of_mining_are_one_line(mined: Path, tmp_path: Path) -> None:
     assert "--where is empty" in one_error(
         replan("cut", mined, "--where", " ", "-o", tmp_path / "out")
     )
@@ -373,7 +374,9 @@ def test_a_log_is_not_mined_again(
         assert (out / name).read_bytes() == (mined / name).read_bytes()
 
 
-def test_coverage_names_what_the_other_set_has(mined: Path, logs: Path, tmp_path: Path) -> None:
+def test_coverage_names_the_cells_of_the_other_set_that_are_missing(
+    mined: Path, logs: Path, tmp_path: Path
+) -> None:
     replan("mine", logs / "everyday_crosswalk.mcap", "-o", tmp_path / "few", "--workers", 0)
     result = replan("coverage", tmp_path / "few", "--against", mined)
     assert "cut_in" in result.stdout and "everyday/cut_in" in result.stdout
@@ -401,8 +404,8 @@ def test_a_cover_has_all_cells_and_each_log_of_it_adds_one(
 @given(
     st.lists(st.tuples(*(st.sampled_from("ab") for _ in CELL), st.sampled_from("pq")), max_size=12)
 )
-def test_a_set_lacks_nothing_that_it_has(rows: list[tuple[str, ...]]) -> None:
+def test_a_set_lacks_no_cell_that_it_has(rows: list[tuple[str, ...]]) -> None:
     events = pd.DataFrame(rows, columns=[*CELL, "log"])
-    have = cells(events)
-    assert have["events"].sum() == len(events) and gaps(have, have).empty
-    assert len(gaps(cells(events.iloc[:0]), have)) == len(have)
+    covered = cells_of(events)
+    assert covered["events"].sum() == len(events) and missing_cells(covered, covered).empty
+    assert len(missing_cells(cells_of(events.iloc[:0]), covered)) == len(covered)

@@ -16,7 +16,7 @@ from replan.core.errors import ConfigError
 if TYPE_CHECKING:
     from replan.draw.drawn_results import Results
     from replan.logs.scenario import Scenario
-    from replan.score.score_table import Asked
+    from replan.score.score_table import SubmittedPlan
 
 MOST_ROWS = 40  # More rows are not printed
 Names = Literal["nuplan-cls", "navsim-v1", "navsim-v2", "navsim-v2-old-filter"]
@@ -117,13 +117,13 @@ def _run(targets: list[Path]) -> Results:
 
 def _plans(
     targets: list[Path], trajectories: Path | None, *, relative: bool
-) -> tuple[list[Asked], dict[str, Scenario]]:
+) -> tuple[list[SubmittedPlan], dict[str, Scenario]]:
     """The plans to be scored, and the logs by name; ConfigError if the targets have none."""
     from replan.draw.drawn_results import load
     from replan.run.sources import select
-    from replan.score.score_table import of_table, of_trace
+    from replan.score.score_table import plans_of_table, plans_of_trace
 
-    plans: list[Asked] = []
+    plans: list[SubmittedPlan] = []
     logs: dict[str, Scenario] = {}
     if len(targets) == 1 and (targets[0] / "summary.json").is_file():
         results = load(targets[0])
@@ -136,7 +136,7 @@ def _plans(
             if trajectories is None or log not in logs:
                 drive = results.drive(log, planner, "open")
                 logs.setdefault(log, drive.scenario)
-                plans += of_trace(drive.trace, logs[log])
+                plans += plans_of_trace(drive.trace, logs[log])
     elif trajectories is None:
         raise ConfigError(
             f"{targets[0]}: is no folder of results; score logs with --trajectories FILE"
@@ -146,5 +146,5 @@ def _plans(
             scenario = source.read()
             logs[scenario.name] = scenario
     return (
-        plans if trajectories is None else of_table(trajectories, logs, relative=relative)
+        plans if trajectories is None else plans_of_table(trajectories, logs, relative=relative)
     ), logs

@@ -52,7 +52,7 @@ only).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import atan2, cos, hypot, pi, prod, sin, tan
 from types import MappingProxyType
 
@@ -90,7 +90,9 @@ from replan.score.window import (
     route_of,
 )
 
-HORIZON_S, STEP_S, POSES, POSE_S, PAST_S, LEAST_WAY_M = 4.0, 0.1, 8, 0.5, 1.5, 5.0
+HORIZON_S, PAST_S = 4.0, 1.5
+STEP_S, POSE_S, POSES = 0.1, 0.5, 8
+LEAST_WAY_M = 5.0
 STEPS = round(HORIZON_S / STEP_S) + 1
 NUPLAN_CAR = EgoOutline(1.461, 5.176, 2.297, 1.461 + 0.5 * 5.176)
 """The Pacifica of nuPlan: rear axle to centre, length, width, rear axle to front, m."""
@@ -122,7 +124,7 @@ class Version:
 
 
 _V1 = Version(
-    {
+    columns={
         "NC": "no_at_fault_collisions",
         "DAC": "drivable_area_compliance",
         "EP": "ego_progress",
@@ -130,40 +132,46 @@ _V1 = Version(
         "HC": "comfort",
         "DDC": "driving_direction_compliance",
     },
-    ("NC", "DAC"),
-    {"EP": 5.0, "TTC": 5.0, "HC": 2.0},
-    False,
-    False,
-    True,
-    False,
-    5.0,
-    STEPS,
-    False,
-    (STEPS, STEPS),
-)
-_COLUMNS = {
-    "NC": "no_at_fault_collisions",
-    "DAC": "drivable_area_compliance",
-    "DDC": "driving_direction_compliance",
-    "TLC": "traffic_light_compliance",
-    "EP": "ego_progress",
-    "TTC": "time_to_collision_within_bound",
-    "LK": "lane_keeping",
-    "HC": "history_comfort",
-    "EC": "two_frame_extended_comfort",
-}
-_PRODUCT, _WEIGHTS = (
-    ("NC", "DAC", "DDC", "TLC"),
-    {"EP": 5.0, "TTC": 5.0, "LK": 2.0, "HC": 2.0, "EC": 2.0},
+    multipliers=("NC", "DAC"),
+    weights={"EP": 5.0, "TTC": 5.0, "HC": 2.0},
+    filters=False,
+    scores_filtered=False,
+    masks=True,
+    drops=False,
+    seen_s=5.0,
+    ttc_steps=STEPS,
+    past=False,
+    windows=(STEPS, STEPS),
 )
 _V2 = Version(
-    _COLUMNS, _PRODUCT, _WEIGHTS, True, True, False, True, 4.0, STEPS - CARRIED[-1], True, (8, 15)
-)
-_OLD = Version(
-    _COLUMNS, _PRODUCT, _WEIGHTS, True, False, False, True, 4.0, STEPS - CARRIED[-1], True, (8, 15)
+    columns={
+        "NC": "no_at_fault_collisions",
+        "DAC": "drivable_area_compliance",
+        "DDC": "driving_direction_compliance",
+        "TLC": "traffic_light_compliance",
+        "EP": "ego_progress",
+        "TTC": "time_to_collision_within_bound",
+        "LK": "lane_keeping",
+        "HC": "history_comfort",
+        "EC": "two_frame_extended_comfort",
+    },
+    multipliers=("NC", "DAC", "DDC", "TLC"),
+    weights={"EP": 5.0, "TTC": 5.0, "LK": 2.0, "HC": 2.0, "EC": 2.0},
+    filters=True,
+    scores_filtered=True,
+    masks=False,
+    drops=True,
+    seen_s=4.0,
+    ttc_steps=STEPS - CARRIED[-1],
+    past=True,
+    windows=(8, 15),
 )
 VERSIONS: Mapping[str, Version] = MappingProxyType(
-    {"navsim-v1": _V1, "navsim-v2": _V2, "navsim-v2-old-filter": _OLD}
+    {
+        "navsim-v1": _V1,
+        "navsim-v2": _V2,
+        "navsim-v2-old-filter": replace(_V2, scores_filtered=False),
+    }
 )
 """The versions by the name of `--as`."""
 
@@ -207,7 +215,7 @@ class ScoredWindow:
         )
 
 
-def window(scenario: Scenario, t: float) -> ScoredWindow:
+def window_at(scenario: Scenario, t: float) -> ScoredWindow:
     """Return the window of a log that begins at `t`, s.
 
     ConfigError if the log has no lanes, its driver is on none of them, or it does not last for 4 s
@@ -220,13 +228,10 @@ def window(scenario: Scenario, t: float) -> ScoredWindow:
     if not first - 1e-6 <= t <= last - HORIZON_S + 1e-2:
         raise ConfigError(
             f"{scenario.name}: no window of {HORIZON_S:g} s begins at {t:.3f} s: the log's drive "
-            "lasts from"
-            f" {first:.1f} to {last:.1f} s; choose times up to {last - HORIZON_S:.1f} s"
+            f"lasts from {first:.1f} to {last:.1f} s; choose times up to {last - HORIZON_S:.1f} s"
         )
-    route, ego = (
-        route_of(scenario, lanes),
-        scenario.ego.resampled(np.array([max(t, first)])).state(0),
-    )
+    route = route_of(scenario, lanes)
+    ego = scenario.ego.resampled(np.array([max(t, first)])).state(0)
     if not route.blocks:
         raise ConfigError(f"{scenario.name}: the log's driver is on no lane: there is no route")
     begin, center = center_line(lanes, route, ego.x, ego.y, ego.yaw)
@@ -236,20 +241,20 @@ def window(scenario: Scenario, t: float) -> ScoredWindow:
     return ScoredWindow(t, start, scenario, Ground(lanes, route, begin, center, red))
 
 
-def driven(at: ScoredWindow, poses: FloatArray) -> FloatArray:
+def driven(window: ScoredWindow, poses: FloatArray) -> FloatArray:
     """Return the tracked states `(41, 9)` of a plan: eight poses x, y, yaw `(8, 3)`."""
-    whole = np.vstack([at.start[[X, Y, YAW]], poses])
+    whole = np.vstack([window.start[[X, Y, YAW]], poses])
     whole[:, 2] = np.unwrap(whole[:, 2])
     times, fine = POSE_S * np.arange(POSES + 1), STEP_S * np.arange(STEPS)
     dense = np.column_stack([np.interp(fine, times, column) for column in whole.T])
-    return simulated(dense, at.start, at.scenario.vehicle.wheelbase)
+    return simulated(dense, window.start, window.scenario.vehicle.wheelbase)
 
 
-def human_poses(at: ScoredWindow) -> FloatArray:
+def human_poses(window: ScoredWindow) -> FloatArray:
     """Return the poses `(8, 3)` of the log's driver in a window."""
-    log = at.scenario.ego
-    there = log.resampled(np.minimum(at.t + POSE_S * np.arange(1, POSES + 1), log.t[-1]))
-    return np.column_stack([there.x, there.y, there.yaw])
+    log = window.scenario.ego
+    states = log.resampled(np.minimum(window.t + POSE_S * np.arange(1, POSES + 1), log.t[-1]))
+    return np.column_stack([states.x, states.y, states.yaw])
 
 
 def judged(
@@ -276,8 +281,8 @@ def judged(
         np.ascontiguousarray(states), np.stack([x, y]), others, astray, wide, version.ttc_steps
     )
     lost = ~center[sorted(ground.route.lanes)].any(axis=0) & ~crossing
-    way = np.r_[0.0, np.hypot(np.diff(x), np.diff(y))] * lost
-    worst = max(way[max(0, k - 10) : k + 1].sum() for k in range(n))
+    moved = np.r_[0.0, np.hypot(np.diff(x), np.diff(y))] * lost
+    worst = max(moved[max(0, k - 10) : k + 1].sum() for k in range(n))
     touched = any(
         box_on_polygon(x[k], y[k], yaw[k], car.length, car.width, lanes.lanes[i].polygon) == 0.0
         for k in range(n)
@@ -287,10 +292,11 @@ def judged(
     for k in np.flatnonzero(~crossing).tolist():
         run = run + 1 if away[k] > KEEPING_M else 0
         longest = max(longest, run)
+    direction = 0.5 if worst < AGAINST_M[1] else 0.0
     parts = {
         "NC": collided,
         "DAC": float(not off.any()),
-        "DDC": 1.0 if worst < AGAINST_M[0] else 0.5 if worst < AGAINST_M[1] else 0.0,
+        "DDC": 1.0 if worst < AGAINST_M[0] else direction,
         "TLC": float(not touched),
         "TTC": float(not close),
         "LK": float(longest < KEEPING_STEPS),
@@ -341,23 +347,23 @@ def _meetings(
             if not at_fault:
                 break
             score = min(score, 0.0 if others.agent[i] else 0.5)
-        done = close
+        has_met = close
         for k in range(ttc_steps):
             yaw, v = states[k, YAW], abs(states[k, V])
-            if done or v < NO_TTC_MPS:
+            if has_met or v < NO_TTC_MPS:
                 continue
             for after in CARRIED:
                 px, py = others.pose[0, i, k + after], others.pose[1, i, k + after]
                 heading = others.pose[2, i, k + after]
                 x = box[0, k] + STEP_S * after * v * cos(yaw)
                 y = box[1, k] + STEP_S * after * v * sin(yaw)
-                if done or not others.there[i, k + after] or hypot(px - x, py - y) > reach:
+                if has_met or not others.there[i, k + after] or hypot(px - x, py - y) > reach:
                     continue
                 if overlap(x, y, yaw, car.length, car.width, px, py, heading, length, width):
                     dx, dy = px - states[k, X], py - states[k, Y]
                     ahead, away = dx * cos(yaw) + dy * sin(yaw), hypot(dx, dy)
                     close = close or ahead > AHEAD * away or (wide[k] and ahead >= BEHIND * away)
-                    done = True
+                    has_met = True
     return score, close
 
 
@@ -373,10 +379,10 @@ def progress(own: float, best: float, *, multiplier: float, masks: bool) -> floa
     return float(np.clip(own * (multiplier if masks else 1.0) / best, 0.0, 1.0))
 
 
-def history_comfort(at: ScoredWindow, states: FloatArray, version: Version) -> float:
+def history_comfort(window: ScoredWindow, states: FloatArray, version: Version) -> float:
     """Return HC of tracked states."""
     if version.past:
-        states = np.vstack([_past(at), states])
+        states = np.vstack([_past(window), states])
     turn, ahead = states[:, TURN], NUPLAN_CAR.axle if version.past else 0.0
     lon = states[:, A] + ahead * (turn**2 + states[:, TURN_RATE])
     whole, yaw = np.hypot(states[:, A], states[:, LATERAL]), np.unwrap(states[:, YAW])
@@ -385,20 +391,27 @@ def history_comfort(at: ScoredWindow, states: FloatArray, version: Version) -> f
     )
 
 
-def _past(at: ScoredWindow) -> FloatArray:
+def _past(window: ScoredWindow) -> FloatArray:
     """Return the recorded states `(n, 9)` from 1.5 to 0.2 s before: the original leaves out the
     last one.
     """
-    log = at.scenario.ego
-    known = at.t + POSE_S * np.arange(-3, 1)
-    known = np.unique(np.clip(known, log.t[0], log.t[-1]))
-    times = at.t + STEP_S * np.arange(-15, -1)
-    times, was = times[times >= log.t[0] - 1e-6], log.resampled(known)
-    out = np.zeros((len(times), 9))
-    columns = {X: was.x, Y: was.y, YAW: was.yaw, V: was.v, A: was.a, LATERAL: was.v**2 * was.kappa}
+    log = window.scenario.ego
+    sampled = window.t + POSE_S * np.arange(-3, 1)
+    sampled = np.unique(np.clip(sampled, log.t[0], log.t[-1]))
+    times = window.t + STEP_S * np.arange(-15, -1)
+    times, logged = times[times >= log.t[0] - 1e-6], log.resampled(sampled)
+    states = np.zeros((len(times), 9))
+    columns = {
+        X: logged.x,
+        Y: logged.y,
+        YAW: logged.yaw,
+        V: logged.v,
+        A: logged.a,
+        LATERAL: logged.v**2 * logged.kappa,
+    }
     for column, values in columns.items():
-        out[:, column] = np.interp(times, known, values)
-    return out
+        states[:, column] = np.interp(times, sampled, values)
+    return states
 
 
 def extended_comfort(now: FloatArray, before: FloatArray, steps: int) -> float:
@@ -410,8 +423,9 @@ def extended_comfort(now: FloatArray, before: FloatArray, steps: int) -> float:
         turns = (savgol(yaw, 5, 2, order, STEP_S) for order in (1, 2))
         return size, savgol(size, 15, 2, 1, STEP_S), *turns
 
-    pairs = zip(features(now[:-steps]), features(before[steps:]), EC_BOUNDS, strict=True)
-    return float(all(np.sqrt(np.mean((one - two) ** 2)) <= bound for one, two, bound in pairs))
+    differences = zip(features(now[:-steps]), features(before[steps:]), strict=True)
+    rms = [np.sqrt(np.mean((current - previous) ** 2)) for current, previous in differences]
+    return float(all(size <= bound for size, bound in zip(rms, EC_BOUNDS, strict=True)))
 
 
 JERK_PENALTY, CURVATURE_PENALTY, FIRST_PENALTY = 1e-4, 1e-2, 1e-10
@@ -433,15 +447,15 @@ def fitted(poses: FloatArray) -> tuple[FloatArray, FloatArray]:
     penalty[:, 2:] = np.eye(m - 2)
     penalty[:, 1:-1] = -np.eye(m - 2)  # over the ones of the line above, as in the devkit
     normal = np.linalg.pinv(design.T @ design + JERK_PENALTY * penalty.T @ penalty)
-    found = normal @ design.T @ moved.reshape(-1)
-    speed = found[0] + np.r_[0.0, np.cumsum(found[1:] * h)]
+    solution = normal @ design.T @ moved.reshape(-1)
+    speed = solution[0] + np.r_[0.0, np.cumsum(solution[1:] * h)]
     design = np.tri(m)
     design[:, 0] = speed * h
     design[1:, 1:] *= (speed * h * h)[1:, None]
     weights = np.full(m, CURVATURE_PENALTY)
     weights[0] = FIRST_PENALTY
-    found = np.linalg.pinv(design.T @ design + np.diag(weights)) @ design.T @ turned
-    return speed, found[0] + np.r_[0.0, np.cumsum(found[1:] * h)]
+    solution = np.linalg.pinv(design.T @ design + np.diag(weights)) @ design.T @ turned
+    return speed, solution[0] + np.r_[0.0, np.cumsum(solution[1:] * h)]
 
 
 def simulated(poses: FloatArray, start: FloatArray, wheelbase: float) -> FloatArray:
@@ -456,48 +470,42 @@ def simulated(poses: FloatArray, start: FloatArray, wheelbase: float) -> FloatAr
 def _follow(
     poses: FloatArray, speed: FloatArray, kappa: FloatArray, start: FloatArray, wheelbase: float
 ) -> FloatArray:
-    out, last, h = np.zeros((len(poses), 9)), len(speed) - 1, STEP_S
-    out[0] = start
+    states, last, h = np.zeros((len(poses), 9)), len(speed) - 1, STEP_S
+    states[0] = start
     for k in range(len(poses) - 1):
-        x, y, yaw, v, a, steer = (
-            out[k, X],
-            out[k, Y],
-            out[k, YAW],
-            out[k, V],
-            out[k, A],
-            out[k, STEER],
-        )
-        then = min(k + STEPS_AHEAD, last)
-        if speed[then] <= STOPPING_MPS and v <= STOPPING_MPS:
-            wanted, rate = STOPPING_GAIN * (speed[then] - v), 0.0
+        x, y, yaw = states[k, X], states[k, Y], states[k, YAW]
+        v, a, steer = states[k, V], states[k, A], states[k, STEER]
+        ahead = min(k + STEPS_AHEAD, last)
+        if speed[ahead] <= STOPPING_MPS and v <= STOPPING_MPS:
+            accel, rate = STOPPING_GAIN * (speed[ahead] - v), 0.0
         else:
             span = h * STEPS_AHEAD
-            wanted = span * Q_SPEED * (speed[then] - v) / (span * span * Q_SPEED + 1.0)
+            accel = span * Q_SPEED * (speed[ahead] - v) / (span * span * Q_SPEED + 1.0)
             e = (y - poses[k, 1]) * cos(poses[k, 2]) - (x - poses[k, 0]) * sin(poses[k, 2])
             psi = atan2(sin(yaw - poses[k, 2]), cos(yaw - poses[k, 2]))
             e1, psi1, steer1 = 0.0, 0.0, 0.0
             for i in range(STEPS_AHEAD):
-                way = h * (v + i * h * wanted)
+                moved = h * (v + i * h * accel)
                 e, psi = (
-                    e + way * psi,
-                    psi + way * (steer / NUPLAN_WHEELBASE_M - kappa[min(k + i, then)]),
+                    e + moved * psi,
+                    psi + moved * (steer / NUPLAN_WHEELBASE_M - kappa[min(k + i, ahead)]),
                 )
                 e1, psi1, steer1 = (
-                    e1 + way * psi1,
-                    psi1 + way * steer1 / NUPLAN_WHEELBASE_M,
+                    e1 + moved * psi1,
+                    psi1 + moved * steer1 / NUPLAN_WHEELBASE_M,
                     steer1 + h,
                 )
             psi = atan2(sin(psi), cos(psi))
             rate = -(Q_OFFSET * e1 * e + Q_HEADING * psi1 * psi) / (
                 Q_OFFSET * e1**2 + Q_HEADING * psi1**2 + 1.0
             )
-        out[k + 1, X], out[k + 1, Y] = x + h * v * cos(yaw), y + h * v * sin(yaw)
-        out[k + 1, YAW] = yaw + h * v * tan(steer) / wheelbase
-        out[k + 1, A] = a + h / (h + ACCEL_LAG_S) * (wanted - a)
-        out[k + 1, V] = v + h * out[k + 1, A]
-        out[k + 1, STEER] = min(
+        states[k + 1, X], states[k + 1, Y] = x + h * v * cos(yaw), y + h * v * sin(yaw)
+        states[k + 1, YAW] = yaw + h * v * tan(steer) / wheelbase
+        states[k + 1, A] = a + h / (h + ACCEL_LAG_S) * (accel - a)
+        states[k + 1, V] = v + h * states[k + 1, A]
+        states[k + 1, STEER] = min(
             max(steer + h / (h + STEER_LAG_S) * h * rate, -MAX_STEER), MAX_STEER
         )
-        out[k + 1, TURN] = out[k + 1, V] * tan(out[k + 1, STEER]) / wheelbase
-        out[k + 1, TURN_RATE] = (out[k + 1, TURN] - out[k, TURN]) / h
-    return out
+        states[k + 1, TURN] = states[k + 1, V] * tan(states[k + 1, STEER]) / wheelbase
+        states[k + 1, TURN_RATE] = (states[k + 1, TURN] - states[k, TURN]) / h
+    return states

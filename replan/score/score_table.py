@@ -25,6 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from math import cos, hypot, sin
 from pathlib import Path
 from types import MappingProxyType
@@ -38,10 +39,11 @@ from replan.core.arrays import FloatArray
 from replan.core.errors import ConfigError, unknown_name
 from replan.core.files import check_regular
 from replan.draw.drawn_results import Results
-from replan.logs.road import IN_JUNCTION
+from replan.logs.road import IN_JUNCTION, Road
 from replan.logs.scenario import Scenario
 from replan.logs.states import EgoState
 from replan.logs.trace import EndReason, Trace
+from replan.logs.vehicle import VehicleParameters
 from replan.results.tables import safe_name
 from replan.score.navsim import (
     HORIZON_S,
@@ -50,10 +52,10 @@ from replan.score.navsim import (
     POSE_S,
     POSES,
     VERSIONS,
-    ScoredWindow,
-    window,
+    Version,
+    window_at,
 )
-from replan.score.yardstick import ScoredPlan, Yardstick, scored, yardstick
+from replan.score.yardstick import ScoredPlan, scored, yardstick
 
 NUPLAN_CLS = "nuplan-cls"
 CLS_COLUMNS: Mapping[str, str] = MappingProxyType(
@@ -90,22 +92,22 @@ def nuplan_table(results: Results) -> ScoreTable:
 
     ConfigError if the run has no closed loop, or was made without the metric.
     """
-    found = results.metrics
-    found = found[
-        found["metric"].str.match(r"nuplan_closed\.\w+\.final") & (found["mode"] == "closed")
+    metrics = results.metrics
+    metrics = metrics[
+        metrics["metric"].str.match(r"nuplan_closed\.\w+\.final") & (metrics["mode"] == "closed")
     ]
-    if found.empty:
+    if metrics.empty:
         raise ConfigError(
             f"{results.path}: no closed drive with the metric nuplan_closed; evaluate with --mode "
             "closed"
         )
-    part = found["metric"].str.split(".").str[1]
-    wide = found.assign(part=part).pivot_table(
+    part = metrics["metric"].str.split(".").str[1]
+    wide = metrics.assign(part=part).pivot_table(
         "value", ["log", "planner"], "part", dropna=False, sort=False
     )
     rows = wide.reindex(columns=list(CLS_COLUMNS)).rename(columns=CLS_COLUMNS).reset_index()
     rows = rows.rename(columns={"log": "scenario", "planner": "planner_name"})
-    missing = found[found["value"].isna() & found["metric"].eq("nuplan_closed.score.final")]
+    missing = metrics[metrics["value"].isna() & metrics["metric"].eq("nuplan_closed.score.final")]
     ends = results.drives.loc[results.drives["mode"] == "closed", "end"]
     early = int((~ends.isin([EndReason.END_OF_LOG.value, EndReason.END_OF_LOG.name.lower()])).sum())
     traffic = results.run.loop.traffic
@@ -130,7 +132,7 @@ def nuplan_table(results: Results) -> ScoreTable:
 
 def navsim_table(
     name: str,
-    asked: Sequence[Asked],
+    plans: Sequence[SubmittedPlan],
     logs: Mapping[str, Scenario],
     on_plan: Callable[[], None] = lambda: None,
 ) -> ScoreTable:
@@ -139,51 +141,60 @@ def navsim_table(
     `name`: a name of `VERSIONS`. ConfigError if there are no plans, or a window does not fit its
     log.
     """
-    if not asked:
+    if not plans:
         raise ConfigError(
             "no plans to score: a window needs a plan of 4 s, and 4 s of the log after its begin"
         )
-    version, done, rows = VERSIONS[name], dict[tuple[str, str, int], ScoredPlan](), []
-    staged = any(one.stage_one for one in asked)
+    version, rows = VERSIONS[name], []
+    staged = any(plan.stage_one for plan in plans)
     if staged and "EC" not in version.columns:
         raise ConfigError(
             f"stage_one: {name} has one stage; take --as navsim-v2, or leave the column out"
         )
-    here: tuple[tuple[str, float], ScoredWindow, Yardstick] | None = None
-    in_order = sorted(asked, key=lambda one: (one.log, one.t, one.drive))
-    for one in in_order:
-        if here is None or here[0] != (one.log, one.t):
-            begin = window(logs[one.log], one.t)
-            here = (one.log, one.t), begin, yardstick(begin, version)
-        at = round(one.t / POSE_S * 100)
-        before = done.get((one.log, one.drive, at - 100)) if "EC" in version.columns else None
-        done[one.log, one.drive, at] = scored(here[1], one.poses, version, before, here[2])
-        on_plan()
-    for one in in_order:
-        at = round(one.t / POSE_S * 100)
-        now, after = done[one.log, one.drive, at], done.get((one.log, one.drive, at + 100))
+    in_order = sorted(plans, key=lambda plan: (plan.log, plan.t, plan.drive))
+    scores = _scores(in_order, logs, version, on_plan)
+    for plan in in_order:
+        score, pair = scores[plan.key()], scores.get(plan.key(1))
         # The earlier of a pair has the pair's
-        if staged and after is not None and np.isnan(now.parts["EC"]):
-            now = now.with_comfort(after.parts["EC"])
-        columns = {column: now.parts[part] for part, column in version.columns.items()}
+        if staged and pair is not None and np.isnan(score.parts["EC"]):
+            score = score.with_comfort(pair.parts["EC"])
+        columns = {column: score.parts[part] for part, column in version.columns.items()}
         rows.append(
             {
-                "token": one.token or f"{one.log}@{one.t:g}",
-                "log_name": one.log,
-                "agent": one.drive,
-                "start_time": one.t,
+                "token": plan.token or f"{plan.log}@{plan.t:g}",
+                "log_name": plan.log,
+                "agent": plan.drive,
+                "start_time": plan.t,
                 **columns,
-                "score": now.score,
+                "score": score.score,
             }
         )
     table = pd.DataFrame(rows)
     if staged:
         table = two_stages(table, in_order, logs)
     table = table.sort_values(["log_name", "agent", "start_time"], kind="stable", ignore_index=True)
-    notes = tuple(_navsim_notes(table, asked, logs, name))
+    notes = tuple(_navsim_notes(table, plans, logs, name))
     return ScoreTable(
         with_stages(table) if staged else _with_means(table, "token", "agent", AVERAGE), notes
     )
+
+
+def _scores(
+    plans: Sequence[SubmittedPlan],
+    logs: Mapping[str, Scenario],
+    version: Version,
+    on_plan: Callable[[], None],
+) -> dict[tuple[str, str, int], ScoredPlan]:
+    """Return the scores of plans, sorted by log and time, by `SubmittedPlan.key`."""
+    scores: dict[tuple[str, str, int], ScoredPlan] = {}
+    for (log, t), group in groupby(plans, key=lambda plan: (plan.log, plan.t)):
+        window = window_at(logs[log], t)
+        beside = yardstick(window, version)
+        for plan in group:
+            earlier = scores.get(plan.key(-1)) if "EC" in version.columns else None
+            scores[plan.key()] = scored(window, plan.poses, version, earlier, beside)
+            on_plan()
+    return scores
 
 
 def _with_means(rows: pd.DataFrame, name: str, agent: str, word: str) -> pd.DataFrame:
@@ -200,25 +211,12 @@ def _with_means(rows: pd.DataFrame, name: str, agent: str, word: str) -> pd.Data
 
 
 def _navsim_notes(
-    rows: pd.DataFrame, asked: Sequence[Asked], logs: Mapping[str, Scenario], name: str
+    rows: pd.DataFrame, plans: Sequence[SubmittedPlan], logs: Mapping[str, Scenario], name: str
 ) -> Iterable[str]:
     """Yield what cannot be exact, with the part and the number of windows that it concerns."""
-    used = {one.log: logs[one.log] for one in asked}
+    used = {plan.log: logs[plan.log] for plan in plans}
     roads = [scenario.road for scenario in used.values()]
-    past = sum(one.t < logs[one.log].ego.t[0] + PAST_S - TIME_ONLY for one in asked)
-    car = [
-        key
-        for key, one in used.items()
-        if abs(one.vehicle.length - NUPLAN_CAR.length) + abs(one.vehicle.width - NUPLAN_CAR.width)
-        > 1e-3
-    ]
-    lights = sum(not scenario.lights for scenario in used.values())
-    limits = sum(not any(np.isfinite(road.stated_limit(i)) for i in road.lanes) for road in roads)
-    areas = sum(not road.areas for road in roads)
-    marked = sum(
-        not any(IN_JUNCTION in lane.kind.split("+") for lane in road.lanes.values())
-        for road in roads
-    )
+    is_v2, windows = name != "navsim-v1", f"of {len(plans)} windows"
     if STAGE not in rows:
         yield "one stage: no trajectory names the window that it follows (column stage_one)"
     else:
@@ -229,51 +227,43 @@ def _navsim_notes(
                 f"{COMBINED}: {alone} of {len(first)} windows of stage one have no follow-up "
                 "scene: left out"
             )
-    if guessed := sum(not road.route for road in roads):
-        yield (
-            f"route: {guessed} of {len(used)} logs name none: the lanes of their driver, and "
-            "straight on"
-        )
-    if car:
-        yield (
-            f"vehicle: the ego of {len(car)} of {len(used)} logs is not nuPlan's Pacifica, whose "
-            "box NAVSIM judges"
-        )
-    if lights and name != "navsim-v1":
-        yield (
-            f"traffic_light_compliance: {lights} of {len(used)} logs have no traffic lights: it "
-            "is 1"
-        )
-    if limits:
-        yield (
-            f"ego_progress: {limits} of {len(used)} logs state no speed limit: PDM-Closed drives "
-            "up to 15 m/s"
-        )
-    if areas:
-        yield (
-            f"drivable_area_compliance: {areas} of {len(used)} logs have no drivable ground "
-            "beside their lanes"
-        )
-    if marked:
-        yield (
-            f"intersections: {marked} of {len(used)} logs mark none: lanes that cross others are "
-            "taken for them"
-        )
-    if past and name != "navsim-v1":
-        yield (
-            f"history_comfort: {past} of {len(asked)} windows have less than {PAST_S:g} s of "
-            "recorded past"
-        )
-    alone = (
-        int(rows["two_frame_extended_comfort"].isna().sum())
-        if "two_frame_extended_comfort" in rows
-        else 0
-    )
-    if alone:
-        yield (
-            f"two_frame_extended_comfort: {alone} of {len(asked)} windows have no plan 0.5 s "
-            "earlier: no weight"
-        )
+    logs_with = {
+        "route: {} name none: the lanes of their driver, and straight on": sum(
+            not road.route for road in roads
+        ),
+        "vehicle: the ego of {} is not nuPlan's Pacifica, whose box NAVSIM judges": sum(
+            not _is_nuplan_car(scenario.vehicle) for scenario in used.values()
+        ),
+        "traffic_light_compliance: {} have no traffic lights: it is 1": is_v2
+        * sum(not scenario.lights for scenario in used.values()),
+        "ego_progress: {} state no speed limit: PDM-Closed drives up to 15 m/s": sum(
+            not any(np.isfinite(road.stated_limit(i)) for i in road.lanes) for road in roads
+        ),
+        "drivable_area_compliance: {} have no drivable ground beside their lanes": sum(
+            not road.areas for road in roads
+        ),
+        "intersections: {} mark none: lanes that cross others are taken for them": sum(
+            not _marks_intersections(road) for road in roads
+        ),
+    }
+    for note, count in logs_with.items():
+        if count:
+            yield note.format(f"{count} of {len(used)} logs")
+    past = sum(plan.t < logs[plan.log].ego.t[0] + PAST_S - TIME_ONLY for plan in plans)
+    if past and is_v2:
+        yield f"history_comfort: {past} {windows} have less than {PAST_S:g} s of recorded past"
+    comfort = "two_frame_extended_comfort"
+    if comfort in rows and (alone := int(rows[comfort].isna().sum())):
+        yield f"{comfort}: {alone} {windows} have no plan 0.5 s earlier: no weight"
+
+
+def _is_nuplan_car(car: VehicleParameters) -> bool:
+    off = abs(car.length - NUPLAN_CAR.length) + abs(car.width - NUPLAN_CAR.width)
+    return off <= 1e-3
+
+
+def _marks_intersections(road: Road) -> bool:
+    return any(IN_JUNCTION in lane.kind.split("+") for lane in road.lanes.values())
 
 
 SIGMA2 = 0.1  # Variance of (1), m2
@@ -288,19 +278,19 @@ def weights(end: FloatArray, begins: FloatArray) -> FloatArray:
     """Return the weights (1) `(n,)` of scenes: the plan ends at `end` `(2,)`, they begin at
     `begins` `(n, 2)`.
     """
-    found = np.exp(-((begins - end) ** 2).sum(axis=1) / (2.0 * SIGMA2))
-    return found / found.sum() if found.sum() > 1e-8 else np.full(len(begins), 1.0 / len(begins))
+    near = np.exp(-((begins - end) ** 2).sum(axis=1) / (2.0 * SIGMA2))
+    return near / near.sum() if near.sum() > 1e-8 else np.full(len(begins), 1.0 / len(begins))
 
 
 def two_stages(
-    rows: pd.DataFrame, asked: Sequence[Asked], logs: Mapping[str, Scenario]
+    rows: pd.DataFrame, plans: Sequence[SubmittedPlan], logs: Mapping[str, Scenario]
 ) -> pd.DataFrame:
     """Return the rows of plans with their stage, the token that they follow, and their weight.
 
     ConfigError if two plans of an agent have one token; a plan follows none of stage one.
     """
     rows = rows.copy()
-    rows[FOLLOWS], rows[WEIGHT] = [one.stage_one for one in asked], 1.0
+    rows[FOLLOWS], rows[WEIGHT] = [plan.stage_one for plan in plans], 1.0
     rows[STAGE] = np.where(rows[FOLLOWS] == "", 1, 2)
     twice = rows[rows.duplicated(["agent", "token"])]
     if len(twice):
@@ -309,9 +299,9 @@ def two_stages(
             "differ"
         )
     first = {
-        (one.drive, token): one
-        for one, token in zip(asked, rows["token"], strict=True)
-        if not one.stage_one
+        (plan.drive, token): plan
+        for plan, token in zip(plans, rows["token"], strict=True)
+        if not plan.stage_one
     }
     for key, group in rows[rows[STAGE] == 2].groupby(["agent", FOLLOWS], sort=False):
         agent, token = map(str, key)
@@ -320,10 +310,10 @@ def two_stages(
                 f"stage_one: {agent or 'the agent'} has no window of stage one with the token "
                 f"{token}"
             )
-        before = first[agent, token]
-        scenes = [(logs[asked[k].log], asked[k].t) for k in group.index]
+        earlier = first[agent, token]
+        scenes = [(logs[plans[k].log], plans[k].t) for k in group.index]
         starts = [(ego_at(log, t), log.origin) for log, t in scenes]
-        end = before.poses[-1, :2] + logs[before.log].origin
+        end = earlier.poses[-1, :2] + logs[earlier.log].origin
         rows.loc[group.index, WEIGHT] = weights(
             end, np.array([(ego.x + x, ego.y + y) for ego, (x, y) in starts])
         )
@@ -340,13 +330,14 @@ def with_stages(rows: pd.DataFrame) -> pd.DataFrame:
         if rows[name].dtype == np.float64 and name not in ("start_time", WEIGHT)
     ]
     summary = []
-    for agent, own in rows.groupby("agent", sort=False):
-        one, two = (own[own[STAGE] == stage] for stage in (1, 2))
-        after = two[parts].mul(two[WEIGHT], axis=0).groupby(two[FOLLOWS]).sum(min_count=1)
-        product = (one.set_index("token")["score"] * after["score"]).mean()
+    for agent, group in rows.groupby("agent", sort=False):
+        first, second = (group[group[STAGE] == stage] for stage in (1, 2))
+        scenes = second[parts].mul(second[WEIGHT], axis=0)
+        followed = scenes.groupby(second[FOLLOWS]).sum(min_count=1)
+        product = (first.set_index("token")["score"] * followed["score"]).mean()
         summary += [
-            {"token": STAGE_ONE, "agent": agent, **one[parts].mean()},
-            {"token": STAGE_TWO, "agent": agent, **after.mean()},
+            {"token": STAGE_ONE, "agent": agent, **first[parts].mean()},
+            {"token": STAGE_TWO, "agent": agent, **followed.mean()},
             {"token": COMBINED, "agent": agent, "score": product},
         ]
     return pd.concat([rows, pd.DataFrame(summary)], ignore_index=True)[list(rows.columns)]
@@ -358,7 +349,7 @@ FARTHEST_M = 1000.0  # No pose of a plan is this far from where its window begin
 
 
 @dataclass(frozen=True, eq=False)
-class Asked:
+class SubmittedPlan:
     """A plan to be scored."""
 
     log: str  # The log's name; `drive` the agent's, `token` the window's
@@ -368,6 +359,10 @@ class Asked:
     poses: FloatArray  # x, y, yaw in the log's world `(8, 3)`
     # The token of the window of which this is a follow-up scene; "": it is none
     stage_one: str = ""
+
+    def key(self, periods: int = 0) -> tuple[str, str, int]:
+        """Return what the plan of the same drive `periods` x 0.5 s later is found by."""
+        return self.log, self.drive, round(self.t / POSE_S * 100) + 100 * periods
 
 
 def read_table(path: Path) -> pd.DataFrame:
@@ -413,7 +408,9 @@ def read_table(path: Path) -> pd.DataFrame:
     return table
 
 
-def of_table(path: Path, logs: Mapping[str, Scenario], *, relative: bool) -> list[Asked]:
+def plans_of_table(
+    path: Path, logs: Mapping[str, Scenario], *, relative: bool
+) -> list[SubmittedPlan]:
     """Return the plans of a file, for logs by name.
 
     `relative`: whether poses are relative to the ego at the begin of their window. ConfigError as
@@ -421,51 +418,47 @@ def of_table(path: Path, logs: Mapping[str, Scenario], *, relative: bool) -> lis
     unknown.
     """
     table = read_table(path)
-    known = {name: log for log in logs for name in (log, safe_name(log), Path(log).stem)}
+    names = {name: log for log in logs for name in (log, safe_name(log), Path(log).stem)}
     agent = next((name for name in AGENT if name in table.columns), None)
-    found = []
+    plans = []
     for key, rows in table.groupby([table["log"].astype(str), "t_s"], sort=False):
         log, t = cast("tuple[str, float]", key)
-        if log not in known:
+        if log not in names:
             raise unknown_name("log", log, sorted(logs))
-        for drive, some in rows.groupby(agent, sort=False) if agent else [("", rows)]:
-            window = (
-                some.sort_values("after_s", kind="stable") if "after_s" in some.columns else some
-            )
+        for drive, poses in rows.groupby(agent, sort=False) if agent else [("", rows)]:
             where = f"{path}: {log} at {t:g} s{f', {drive!s}' if drive else ''}"
-            if len(window) != POSES:
-                raise ConfigError(
-                    f"{where}: {len(window)} poses; a window has {POSES}, every {POSE_S:g} s"
-                )
-            expected = POSE_S * np.arange(1, POSES + 1)
-            if "after_s" in window.columns and not np.allclose(
-                window["after_s"], expected, atol=1e-3
-            ):
-                raise ConfigError(
-                    f"{where}: after_s must be {expected[0]:g}, {expected[1]:g}, ... "
-                    f"{expected[-1]:g} s"
-                )
-            poses = window[["x", "y", "yaw"]].to_numpy(np.float64)
-            name = known[log]
-            begin = ego_at(logs[name], t)
-            placed = _in_world(poses, begin) if relative else poses
-            away = max(hypot(x - begin.x, y - begin.y) for x, y in placed[:, :2])
-            if away > FARTHEST_M:
-                frame = (
-                    "the poses are in another frame"
-                    if relative
-                    else "poses relative to the ego need --relative"
-                )
-                raise ConfigError(
-                    f"{where}: a pose is {away:.3g} m from where the window begins: {frame}"
-                )
-            words = (
-                window[column].iloc[0] if column in window.columns else None
-                for column in ("token", "stage_one")
-            )
-            token, stage_one = ("" if pd.isna(word) else str(word) for word in words)
-            found.append(Asked(name, str(drive), token, t, placed, stage_one))
-    return found
+            begin = ego_at(logs[names[log]], t)
+            placed = _placed(poses, begin, where, relative=relative)
+            token, stage_one = (_word(poses, column) for column in ("token", "stage_one"))
+            plans.append(SubmittedPlan(names[log], str(drive), token, t, placed, stage_one))
+    return plans
+
+
+def _placed(rows: pd.DataFrame, begin: EgoState, where: str, *, relative: bool) -> FloatArray:
+    """Return the poses of a window in the log's world; ConfigError as `plans_of_table`."""
+    if len(rows) != POSES:
+        raise ConfigError(f"{where}: {len(rows)} poses; a window has {POSES}, every {POSE_S:g} s")
+    if "after_s" in rows.columns:
+        rows = rows.sort_values("after_s", kind="stable")
+        expected = POSE_S * np.arange(1, POSES + 1)
+        if not np.allclose(rows["after_s"], expected, atol=1e-3):
+            first, second, *_, last = expected.tolist()
+            raise ConfigError(f"{where}: after_s must be {first:g}, {second:g}, ... {last:g} s")
+    poses: FloatArray = rows[["x", "y", "yaw"]].to_numpy(np.float64)
+    placed = _in_world(poses, begin) if relative else poses
+    away = max(hypot(x - begin.x, y - begin.y) for x, y in placed[:, :2])
+    if away > FARTHEST_M:
+        frame = "poses relative to the ego need --relative"
+        if relative:
+            frame = "the poses are in another frame"
+        raise ConfigError(f"{where}: a pose is {away:.3g} m from where the window begins: {frame}")
+    return placed
+
+
+def _word(rows: pd.DataFrame, column: str) -> str:
+    """Return the first value of a column; "" if there is none."""
+    value = rows[column].iloc[0] if column in rows.columns else None
+    return "" if pd.isna(value) else str(value)
 
 
 def ego_at(scenario: Scenario, t: float) -> EgoState:
@@ -480,7 +473,7 @@ def _in_world(poses: FloatArray, ego: EgoState) -> FloatArray:
     return np.column_stack([ego.x + x * c - y * s, ego.y + x * s + y * c, ego.yaw + yaw])
 
 
-def of_trace(trace: Trace, scenario: Scenario) -> Iterator[Asked]:
+def plans_of_trace(trace: Trace, scenario: Scenario) -> Iterator[SubmittedPlan]:
     """Yield the plans of an open loop every 0.5 s that have a whole window and reach its end."""
     ahead, first = POSE_S * np.arange(1, POSES + 1), trace.ego.t[0]
     for frame in trace.frames:
@@ -490,16 +483,16 @@ def of_trace(trace: Trace, scenario: Scenario) -> Iterator[Asked]:
             continue
         if plan.t[-1] < frame.t + HORIZON_S - 1e-3:
             continue
-        there = plan.resampled(np.clip(frame.t + ahead, plan.t[0], plan.t[-1]))
-        yield Asked(
+        states = plan.resampled(np.clip(frame.t + ahead, plan.t[0], plan.t[-1]))
+        yield SubmittedPlan(
             scenario.name,
             trace.planner,
             "",
             float(frame.t),
-            np.column_stack([there.x, there.y, there.yaw]),
+            np.column_stack([states.x, states.y, states.yaw]),
         )
 
 
-def names_of(asked: Sequence[Asked]) -> list[str]:
+def names_of(plans: Sequence[SubmittedPlan]) -> list[str]:
     """Return the logs of plans, each once, in order."""
-    return list(dict.fromkeys(one.log for one in asked))
+    return list(dict.fromkeys(plan.log for plan in plans))

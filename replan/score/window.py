@@ -26,7 +26,8 @@ from replan.metrics.boxes import ego_boxes, others_at
 from replan.metrics.devkit_lanes import DevkitLanes
 from replan.metrics.nuplan_closed_loop import route_lanes
 
-STEP_S, SAMPLE_S, NEAR_M, BEYOND_M = 0.1, 0.5, 100.0, 100.0
+STEP_S, SAMPLE_S = 0.1, 0.5
+NEAR_M, BEYOND_M = 100.0, 100.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,27 +46,27 @@ def route_of(scenario: Scenario, lanes: DevkitLanes) -> RoadblockRoute:
 
     nuPlan's routes do not end with a log.
     """
-    boxes, index = (
-        ego_boxes(scenario.ego, scenario),
-        {lane.id: i for i, lane in enumerate(lanes.lanes)},
-    )
+    index = {lane.id: i for i, lane in enumerate(lanes.lanes)}
     if named := [lanes.block[index[i]] for i in scenario.road.route if i in index]:
         return _through(lanes, named)
-    first = route_lanes(lanes, boxes[0], boxes[1])
+    x, y, *_ = ego_boxes(scenario.ego, scenario)
+    first = route_lanes(lanes, x, y)
     blocks = list(dict.fromkeys(lanes.block[i] for i in first))
-    after, beyond = straight_on(scenario.road, lanes.lanes[first[-1]].id) if first else None, 0.0
-    while after is not None and beyond < BEYOND_M and lanes.block[index[after]] not in blocks:
-        blocks.append(lanes.block[index[after]])
-        beyond += lanes.lanes[index[after]].length
-        after = straight_on(scenario.road, after)
+    last, beyond = first[-1] if first else None, 0.0
+    while last is not None and beyond < BEYOND_M:
+        successor = straight_on(scenario.road, lanes.lanes[last].id)
+        last = None if successor is None else index[successor]
+        if last is None or lanes.block[last] in blocks:
+            break
+        blocks.append(lanes.block[last])
+        beyond += lanes.lanes[last].length
     return _through(lanes, blocks)
 
 
 def _through(lanes: DevkitLanes, blocks: Sequence[int]) -> RoadblockRoute:
-    found = tuple(dict.fromkeys(blocks))
-    return RoadblockRoute(
-        found, frozenset(i for i, block in enumerate(lanes.block) if block in found)
-    )
+    route = tuple(dict.fromkeys(blocks))
+    on_route = frozenset(i for i, block in enumerate(lanes.block) if block in route)
+    return RoadblockRoute(route, on_route)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,8 +80,8 @@ class Polyline:
     @classmethod
     def through(cls, points: FloatArray, yaw: FloatArray) -> Polyline:
         """A path through points with headings."""
-        way = arc_lengths(*points.T)
-        return cls(np.ascontiguousarray(points), np.unwrap(yaw), way)
+        stations = arc_lengths(*points.T)
+        return cls(np.ascontiguousarray(points), np.unwrap(yaw), stations)
 
     def beside(self, offset: float) -> Polyline:
         """The path `offset` m to the left."""
@@ -122,22 +123,24 @@ def center_line(
         return float(along_line(lanes.lanes[i].center, np.array([x]), np.array([y]))[1][0])
 
     start = min(under, key=misaligned) if under else min(sorted(route.lanes), key=away)
-    way, queue, done = {start: 1.0}, [start], set[int]()
+    length_to, queue, settled = {start: 1.0}, [start], set[int]()
     reached: dict[int, tuple[int, ...]] = {start: (start,)}
     last: tuple[int, ...] = (start,)
     while queue:
-        here = min(queue, key=lambda i: way[i])
-        queue.remove(here)
-        done.add(here)
-        last = max(last, reached[here], key=len)
-        if lanes.block[here] == route.blocks[-1]:
-            last = reached[here]
+        lane = min(queue, key=lambda i: length_to[i])
+        queue.remove(lane)
+        settled.add(lane)
+        last = max(last, reached[lane], key=len)
+        if lanes.block[lane] == route.blocks[-1]:
+            last = reached[lane]
             break
-        for after in lanes.after[here]:
-            longer = way[here] + lanes.lanes[after].length
-            if after in route.lanes and after not in done and longer < way.get(after, inf):
-                way[after], reached[after] = longer, (*reached[here], after)
-                queue += [after] if after not in queue else []
+        for successor in lanes.after[lane]:
+            length = length_to[lane] + lanes.lanes[successor].length
+            if successor not in route.lanes or successor in settled:
+                continue
+            if length < length_to.get(successor, inf):
+                length_to[successor], reached[successor] = length, (*reached[lane], successor)
+                queue += [successor] if successor not in queue else []
     points, headings = zip(*(ends[i] for i in last), strict=True)
     return start, Polyline.through(np.vstack(points), np.concatenate(headings))
 
@@ -178,55 +181,53 @@ def logged_others(scenario: Scenario, t: float, lasts: float) -> WindowAgents:
     One that is seen once stays.
     """
     tracks, samples = scenario.tracks, t + SAMPLE_S * np.arange(round(lasts / SAMPLE_S) + 1)
-    found, steps = others_at(tracks, samples), round(lasts / STEP_S) + 1
+    sampled, steps = others_at(tracks, samples), round(lasts / STEP_S) + 1
     fine = STEP_S * np.arange(steps)
-    there, pose = np.zeros((len(tracks), steps), np.bool_), np.zeros((3, len(tracks), steps))
+    is_there, pose = np.zeros((len(tracks), steps), np.bool_), np.zeros((3, len(tracks), steps))
     speed = np.zeros(len(tracks))
-    for i in np.flatnonzero(found.there.any(axis=1)).tolist():
-        seen = np.flatnonzero(found.there[i])
-        at, rows = SAMPLE_S * seen, found.pose[:3, i, seen].copy()
+    for i in np.flatnonzero(sampled.there.any(axis=1)).tolist():
+        seen = np.flatnonzero(sampled.there[i])
+        times, rows = SAMPLE_S * seen, sampled.pose[:3, i, seen].copy()
         rows[2] = np.unwrap(rows[2])
-        there[i] = (len(seen) == 1) | ((fine >= at[0] - 1e-9) & (fine <= at[-1] + 1e-9))
-        pose[:, i] = [np.interp(fine, at, row) for row in rows]
-        speed[i] = np.hypot(*found.pose[3:, i, seen[0]])
-    return WindowAgents(there, pose, speed, _movable(tracks), found.size)
+        is_there[i] = (len(seen) == 1) | ((fine >= times[0] - 1e-9) & (fine <= times[-1] + 1e-9))
+        pose[:, i] = [np.interp(fine, times, row) for row in rows]
+        speed[i] = np.hypot(*sampled.pose[3:, i, seen[0]])
+    return WindowAgents(is_there, pose, speed, _movable(tracks), sampled.size)
 
 
 def predicted_others(scenario: Scenario, t: float, x: float, y: float, steps: int) -> WindowAgents:
     """Return the road users within `NEAR_M` as PDM-Closed predicts them: at constant speed ahead,
     every 0.2 s.
     """
-    now, agent = others_at(scenario.tracks, np.array([t])), _movable(scenario.tracks)
-    px, py, yaw, vx, vy = np.nan_to_num(now.pose[:, :, 0])
+    others, agent = others_at(scenario.tracks, np.array([t])), _movable(scenario.tracks)
+    px, py, yaw, vx, vy = np.nan_to_num(others.pose[:, :, 0])
     speed = np.where(agent, np.hypot(vx, vy), 0.0)
-    way = yaw + pi * (np.abs(wrapped(yaw - np.arctan2(vy, vx))) >= 0.5 * pi)
+    direction = yaw + pi * (np.abs(wrapped(yaw - np.arctan2(vy, vx))) >= 0.5 * pi)
     moved = speed[:, None] * STEP_S * (2 * (np.arange(steps) // 2))
     still = np.repeat(yaw[:, None], steps, axis=1)
     pose = np.stack(
         [
-            px[:, None] + np.cos(way)[:, None] * moved,
-            py[:, None] + np.sin(way)[:, None] * moved,
+            px[:, None] + np.cos(direction)[:, None] * moved,
+            py[:, None] + np.sin(direction)[:, None] * moved,
             still,
         ]
     )
-    near = now.there[:, 0] & (np.hypot(px - x, py - y) <= NEAR_M)
-    return WindowAgents(np.repeat(near[:, None], steps, axis=1), pose, speed, agent, now.size)
+    near = others.there[:, 0] & (np.hypot(px - x, py - y) <= NEAR_M)
+    return WindowAgents(np.repeat(near[:, None], steps, axis=1), pose, speed, agent, others.size)
 
 
 def red_lanes(
     scenario: Scenario, lanes: DevkitLanes, route: RoadblockRoute, t: float
 ) -> frozenset[int]:
     """Return the lanes of the route behind stop lines whose light is red."""
-    shown = {light.id: light.at(t) for light in scenario.lights}
+    red = {light.id for light in scenario.lights if light.at(t) in RED}
     ids = {lane.id: i for i, lane in enumerate(lanes.lanes)}
-    behind = (
-        ids[after]
-        for line in scenario.road.stop_lines
-        if line.light is not None and shown.get(line.light) in RED
-        for after in scenario.road.lanes[line.lane].successors
-        if after in ids and (not line.towards or after in line.towards)
-    )
-    return frozenset(i for i in behind if i in route.lanes)
+    behind: set[int] = set()
+    for line in scenario.road.stop_lines:
+        if line.light in red:
+            successors = scenario.road.lanes[line.lane].successors
+            behind |= {lane for lane in successors if not line.towards or lane in line.towards}
+    return route.lanes & {ids[lane] for lane in behind if lane in ids}
 
 
 @kernel
@@ -248,8 +249,8 @@ def _box_to_segment(
     x: float, y: float, yaw: float, length: float, width: float, a: FloatArray, b: FloatArray
 ) -> float:
     dx, dy = b[0] - a[0], b[1] - a[1]
-    mid_x, mid_y, way = 0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), np.hypot(dx, dy)
-    return distance(x, y, yaw, length, width, mid_x, mid_y, np.arctan2(dy, dx), way, 0.0)
+    mid_x, mid_y, span = 0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), np.hypot(dx, dy)
+    return distance(x, y, yaw, length, width, mid_x, mid_y, np.arctan2(dy, dx), span, 0.0)
 
 
 @kernel
@@ -262,18 +263,18 @@ def in_corridor(
     last = len(line) - 1
     for k in range(last):
         dx, dy = line[k + 1, 0] - line[k, 0], line[k + 1, 1] - line[k, 1]
-        way = np.hypot(dx, dy)
-        if way == 0.0:
+        segment = np.hypot(dx, dy)
+        if segment == 0.0:
             continue
         before, after = half if k == 0 else 0.0, half if k == last - 1 else 0.0
         shift = 0.5 * (after - before)
-        mid_x = 0.5 * (line[k, 0] + line[k + 1, 0]) + shift * dx / way
-        mid_y = 0.5 * (line[k, 1] + line[k + 1, 1]) + shift * dy / way
+        mid_x = 0.5 * (line[k, 0] + line[k + 1, 0]) + shift * dx / segment
+        mid_y = 0.5 * (line[k, 1] + line[k + 1, 1]) + shift * dy / segment
         if overlap(
             mid_x,
             mid_y,
             np.arctan2(dy, dx),
-            way + before + after,
+            segment + before + after,
             2.0 * half,
             x,
             y,
@@ -290,5 +291,5 @@ def centroid(polygon: FloatArray) -> tuple[float, float]:
     x, y = (polygon - polygon[0]).T
     area = x * np.roll(y, -1) - np.roll(x, -1) * y
     whole = 3.0 * area.sum()
-    cx, cy = (((one + np.roll(one, -1)) * area).sum() / whole for one in (x, y))
+    cx, cy = (((axis + np.roll(axis, -1)) * area).sum() / whole for axis in (x, y))
     return float(polygon[0, 0] + cx), float(polygon[0, 1] + cy)

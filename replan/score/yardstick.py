@@ -62,48 +62,47 @@ KNOTS = STEPS + 10  # States of a proposal: 5 s
 OFFSETS_M = (0.0, -1.0, 1.0)
 
 
-def plan_of(at: ScoredWindow, version: Version) -> FloatArray:
+def plan_of(window: ScoredWindow, version: Version) -> FloatArray:
     """Return the poses x, y, yaw `(41, 3)` of the best proposal in a window.
 
     Of equals the first.
     """
-    car, own = at.scenario.vehicle, car_of(at.scenario)
-    others = predicted_others(at.scenario, at.t, *at.box[:2], KNOTS + 2).apart(at.box)
-    proposals = [
-        one
-        for offset in OFFSETS_M
-        for one in _proposals(at, at.ground.center.beside(offset), own, others)
-    ]
-    driven = [simulated(poses[:STEPS], at.start, car.wheelbase) for poses in proposals]
-    ground = replace(at.ground, red=at.ground.red[:1])
-    found = [judged(states, others, ground, version) for states in driven]
-    products = np.array([multiplied(parts, version) for parts, _ in found])
-    best = float((products * [way for _, way in found]).max())
+    car, own = window.scenario.vehicle, car_of(window.scenario)
+    x, y, *_ = window.box
+    others = predicted_others(window.scenario, window.t, x, y, KNOTS + 2).apart(window.box)
+    lines = [window.ground.center.beside(offset) for offset in OFFSETS_M]
+    proposals = np.concatenate([_proposals(window, line, own, others) for line in lines])
+    driven = [simulated(poses[:STEPS], window.start, car.wheelbase) for poses in proposals]
+    ground = replace(window.ground, red=window.ground.red[:1])
+    judgements = [judged(states, others, ground, version) for states in driven]
+    products = np.array([multiplied(parts, version) for parts, _ in judgements])
+    best = float((products * [progressed for _, progressed in judgements]).max())
     weights = {name: weight for name, weight in version.weights.items() if name != "EC"}
     totals = []
-    for states, (parts, way), product in zip(driven, found, products.tolist(), strict=True):
-        parts["EP"] = progress(way, best, multiplier=product, masks=version.masks)
-        parts["HC"] = 1.0 if version.past else history_comfort(at, states, version)
+    rows = zip(driven, judgements, products.tolist(), strict=True)
+    for states, (parts, progressed), product in rows:
+        parts["EP"] = progress(progressed, best, multiplier=product, masks=version.masks)
+        parts["HC"] = 1.0 if version.past else history_comfort(window, states, version)
         totals.append(product * sum(weight * parts[name] for name, weight in weights.items()))
-    return np.asarray(proposals[int(np.argmax(totals))][:STEPS])
+    return np.asarray(proposals[int(np.argmax(totals)), :STEPS])
 
 
 def _proposals(
-    at: ScoredWindow, path: Polyline, car: EgoOutline, others: WindowAgents
+    window: ScoredWindow, path: Polyline, car: EgoOutline, others: WindowAgents
 ) -> FloatArray:
     """Return the poses `(5, KNOTS, 3)` of the drivers on one line."""
-    c, ground = CONFIG, at.ground
-    limit = at.scenario.road.stated_limit(ground.lanes.lanes[ground.first].id)
+    c, ground = CONFIG, window.ground
+    limit = window.scenario.road.stated_limit(ground.lanes.lanes[ground.first].id)
     wanted_mps = (limit if np.isfinite(limit) else FREE_MPS) * np.array(c.speed_shares)
-    begin = path.station(at.start[X], at.start[Y])
+    begin = path.station(window.start[X], window.start[Y])
     end = min(begin + wanted_mps.max() * STEP_S * (KNOTS - 1), path.s[-1])
     corridor = path.points[(begin <= path.s) & (path.s <= end)]
     corridor = corridor if len(corridor) > 1 else path.at(np.array([begin, end]))[:, :2]
-    lights = [
-        (path.station(*centroid(outline)), outline) for outline in _in_the_way(at, corridor, car)
-    ]
-    s, v = np.full((len(wanted_mps), KNOTS), begin), np.full((len(wanted_mps), KNOTS), at.start[V])
-    poses: FloatArray = np.empty((len(wanted_mps), KNOTS, 3))
+    red = _in_the_way(window, corridor, car)
+    lights = [(path.station(*centroid(outline)), outline) for outline in red]
+    s = np.full((len(wanted_mps), KNOTS), begin)
+    v = np.full_like(s, window.start[V])
+    poses: FloatArray = np.empty((*s.shape, 3))
     lead: FloatArray = np.zeros((len(wanted_mps), 3))
     poses[:, 0] = path.at(s[:, 0])
     for k in range(1, KNOTS):
@@ -123,12 +122,12 @@ def _proposals(
     return poses
 
 
-def _in_the_way(at: ScoredWindow, corridor: FloatArray, car: EgoOutline) -> list[FloatArray]:
+def _in_the_way(window: ScoredWindow, corridor: FloatArray, car: EgoOutline) -> list[FloatArray]:
     """Return the outlines of lanes with a red light that touch the corridor, without one that holds
     the ego's box.
     """
-    outlines = [at.ground.lanes.lanes[i].polygon for i in sorted(at.ground.red[0])]
-    out = []
+    outlines = [window.ground.lanes.lanes[i].polygon for i in sorted(window.ground.red[0])]
+    touching = []
     for outline in outlines:
         ends = np.hstack([np.roll(outline, 1, axis=0), outline])
         crosses = any(
@@ -143,19 +142,19 @@ def _in_the_way(at: ScoredWindow, corridor: FloatArray, car: EgoOutline) -> list
             )
             for a, b, c, d in ends.tolist()
         )
-        holds = box_on_polygon(*at.box, outline) == 0.0
-        out += [outline] if crosses and not holds else []
-    return out
+        holds = box_on_polygon(*window.box, outline) == 0.0
+        touching += [outline] if crosses and not holds else []
+    return touching
 
 
 def _near(
     path: Polyline, corridor: FloatArray, car: EgoOutline, others: WindowAgents, k: int
 ) -> dict[int, float]:
     """Return the agents that touch the corridor at step k, and their stations."""
-    found = np.flatnonzero(others.there[:, k]).tolist()
+    present = np.flatnonzero(others.there[:, k]).tolist()
     half = 0.5 * car.width
     touching = (
-        i for i in found if in_corridor(corridor, half, *others.pose[:, i, k], *others.size[i])
+        i for i in present if in_corridor(corridor, half, *others.pose[:, i, k], *others.size[i])
     )
     return {i: path.station(*others.pose[:2, i, k]) for i in touching}
 
@@ -192,7 +191,7 @@ def _leaders(
             if station > s[n]
         ]
         if ahead:
-            away, speed = min(ahead, key=lambda one: one[0])
+            away, speed = min(ahead, key=lambda leader: leader[0])
             row[0], row[1] = s[n] + away, row[1] if speed is None else speed
         else:
             row[0], row[2] = end, 0.5 * car.length
@@ -235,24 +234,22 @@ class Yardstick:
     human: Mapping[str, float]  # The parts of the log's driver; empty without the human filter
 
 
-def yardstick(at: ScoredWindow, version: Version) -> Yardstick:
+def yardstick(window: ScoredWindow, version: Version) -> Yardstick:
     """Return what all plans of a window are compared with."""
-    car = at.scenario.vehicle
-    others = logged_others(at.scenario, at.t, version.seen_s)
-    others = others.apart(at.box) if version.drops else others
-    rival, way = judged(
-        simulated(plan_of(at, version), at.start, car.wheelbase), others, at.ground, version
-    )
-    human = (
-        judged(driven(at, human_poses(at)), others, at.ground, version)[0]
-        if version.filters
-        else {}
-    )
-    return Yardstick(others, multiplied(rival, version) * way, human)
+    car = window.scenario.vehicle
+    others = logged_others(window.scenario, window.t, version.seen_s)
+    others = others.apart(window.box) if version.drops else others
+    states = simulated(plan_of(window, version), window.start, car.wheelbase)
+    rival, progressed = judged(states, others, window.ground, version)
+    human: dict[str, float] = {}
+    if version.filters:
+        logged = driven(window, human_poses(window))
+        human, _ = judged(logged, others, window.ground, version)
+    return Yardstick(others, multiplied(rival, version) * progressed, human)
 
 
 def scored(
-    at: ScoredWindow,
+    window: ScoredWindow,
     poses: FloatArray,
     version: Version,
     before: ScoredPlan | None = None,
@@ -263,13 +260,13 @@ def scored(
 
     `before` is the plan of 0.5 s earlier; `beside` is `yardstick(at, version)`, if it is known.
     """
-    beside = beside or yardstick(at, version)
-    states = driven(at, poses)
-    parts, way = judged(states, beside.others, at.ground, version)
+    beside = beside or yardstick(window, version)
+    states = driven(window, poses)
+    parts, progressed = judged(states, beside.others, window.ground, version)
     product = multiplied(parts, version)
-    best = max(product * way, beside.best)
-    parts["EP"] = progress(way, best, multiplier=product, masks=version.masks)
-    parts["HC"] = history_comfort(at, states, version)
+    best = max(product * progressed, beside.best)
+    parts["EP"] = progress(progressed, best, multiplier=product, masks=version.masks)
+    parts["HC"] = history_comfort(window, states, version)
     parts["EC"] = (
         nan if before is None else extended_comfort(states, before.states, round(POSE_S / STEP_S))
     )

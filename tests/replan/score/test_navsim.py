@@ -19,8 +19,8 @@ from replan.logs.rules import Colour, TrafficLight
 from replan.logs.scenario import Scenario
 from replan.replay.loop.open_loop import run_open_loop
 from replan.replay.loop_config import DEFAULT_LOOP
-from replan.score.navsim import VERSIONS, fitted, human_poses, simulated, window
-from replan.score.score_table import of_trace
+from replan.score.navsim import VERSIONS, fitted, human_poses, simulated, window_at
+from replan.score.score_table import plans_of_trace
 from replan.score.yardstick import ScoredPlan, scored, total
 
 VALUES = Path(__file__).parents[2] / "support" / "leaderboards"
@@ -53,7 +53,7 @@ def before(drive: str) -> dict[float, np.ndarray]:
     """The plans of the drive's planner every 0.5 s."""
     name, planner = drive.rsplit("__", 1)
     found = run_open_loop(log(name), planner, config=replace(DEFAULT_LOOP, plan_period_s=0.5))
-    return {round(one.t, 3): one.poses for one in of_trace(found.trace, log(name))}
+    return {round(one.t, 3): one.poses for one in plans_of_trace(found.trace, log(name))}
 
 
 def test_parts_and_scores_are_those_of_the_original() -> None:
@@ -61,12 +61,12 @@ def test_parts_and_scores_are_those_of_the_original() -> None:
     rows = []
     for row in values.itertuples():
         name = row.drive.rsplit("__", 1)[0]
-        found = scored(window(log(name), row.t), poses(row.drive, row.t), V2)
-        assert total({**found.parts, "EC": row.EC}, V2) == pytest.approx(row.EPDMS, abs=1e-4)
-        pdms = found.parts["NC"] * found.parts["DAC"]
-        mean = (5 * found.parts["EP"] + 5 * found.parts["TTC"] + 2 * found.parts["HC"]) / 12
+        plan = scored(window_at(log(name), row.t), poses(row.drive, row.t), V2)
+        assert total({**plan.parts, "EC": row.EC}, V2) == pytest.approx(row.EPDMS, abs=1e-4)
+        pdms = plan.parts["NC"] * plan.parts["DAC"]
+        mean = (5 * plan.parts["EP"] + 5 * plan.parts["TTC"] + 2 * plan.parts["HC"]) / 12
         assert pdms * mean == pytest.approx(row.PDMS, abs=1e-4)
-        rows.append([abs(found.parts[part] - getattr(row, part)) for part in PARTS])
+        rows.append([abs(plan.parts[part] - getattr(row, part)) for part in PARTS])
     assert len(rows) == 62
     assert np.max(rows) < 1e-4
 
@@ -82,14 +82,14 @@ def test_extended_comfort_is_that_of_the_original() -> None:
         name = row.drive.rsplit("__", 1)[0]
         was = before(row.drive)
         assert was[round(row.t, 3)] == pytest.approx(poses(row.drive, row.t), abs=1e-3)
-        earlier = scored(window(log(name), row.t - 0.5), was[round(row.t - 0.5, 3)], V2)
-        found = scored(window(log(name), row.t), poses(row.drive, row.t), V2, earlier)
-        assert found.parts["EC"] == row.EC
-        assert found.score == pytest.approx(row.EPDMS, abs=1e-4)
+        earlier = scored(window_at(log(name), row.t - 0.5), was[round(row.t - 0.5, 3)], V2)
+        plan = scored(window_at(log(name), row.t), poses(row.drive, row.t), V2, earlier)
+        assert plan.parts["EC"] == row.EC
+        assert plan.score == pytest.approx(row.EPDMS, abs=1e-4)
 
 
 def one(scenario: Scenario, t: float, plan: np.ndarray, version: str = "navsim-v2") -> ScoredPlan:
-    return scored(window(scenario, t), plan, VERSIONS[version])
+    return scored(window_at(scenario, t), plan, VERSIONS[version])
 
 
 @settings(max_examples=6, deadline=None)
@@ -133,7 +133,7 @@ def test_a_route_that_the_log_names_is_the_route() -> None:
     """
     name, drive, t = "everyday_junction", "everyday_junction__dp_qp", 6.0
     whole = one(log(name), t, poses(drive, t))
-    ground = window(log(name), t).ground
+    ground = window_at(log(name), t).ground
     driven = tuple(
         ground.lanes.lanes[i].id
         for block in ground.route.blocks
@@ -144,10 +144,10 @@ def test_a_route_that_the_log_names_is_the_route() -> None:
     assert one(named, t, poses(drive, t)).parts == pytest.approx(whole.parts, nan_ok=True)
     assert len(driven) > 1 and set(driven) < {lane.id for lane in ground.lanes.lanes}
     short = replace(log(name), road=replace(log(name).road, route=driven[-1:]))
-    assert window(short, t).ground.route.lanes < ground.route.lanes
+    assert window_at(short, t).ground.route.lanes < ground.route.lanes
 
 
-def test_the_humans_trajectory_is_excused_what_it_does() -> None:
+def test_parts_that_the_logged_driver_fails_are_excused() -> None:
     """A human who drives over a red light: their own trajectory, and any other that does so too, is
     not marked down.
     """
@@ -155,10 +155,10 @@ def test_the_humans_trajectory_is_excused_what_it_does() -> None:
     red = replace(light, lights=(TrafficLight(1, np.zeros(1), (Colour.RED,)),))
     # The driver waits, and goes on at what was green
     t = float(light.ego.t[np.argmax(light.ego.v < 0.1)]) + 4.0
-    at = window(red, t)
-    drives_on = one(red, t, human_poses(at))
+    window = window_at(red, t)
+    drives_on = one(red, t, human_poses(window))
     assert drives_on.parts["TLC"] == 1.0
-    assert one(red, t, human_poses(at), "navsim-v2-old-filter").parts["TLC"] == 1.0
+    assert one(red, t, human_poses(window), "navsim-v2-old-filter").parts["TLC"] == 1.0
 
 
 def test_red_lights_and_the_old_filter() -> None:
@@ -173,12 +173,12 @@ def test_red_lights_and_the_old_filter() -> None:
         [ego.x + 13.9 * 0.5 * np.arange(1, 9), np.full(8, ego.y), np.zeros(8)]
     )
     assert one(light, t, straight).parts["TLC"] == one(light, t, straight).score == 0.0
-    assert one(light, t, human_poses(window(light, t))).parts["TLC"] == 1.0
+    assert one(light, t, human_poses(window_at(light, t))).parts["TLC"] == 1.0
     off = replace(
         log("everyday_cut_in"),
         ego=replace(log("everyday_cut_in").ego, y=log("everyday_cut_in").ego.y + 1.0),
     )
-    beside = human_poses(window(off, 4.0))
+    beside = human_poses(window_at(off, 4.0))
     new, old = one(off, 4.0, beside), one(off, 4.0, beside, "navsim-v2-old-filter")
     assert new.parts == pytest.approx(old.parts, nan_ok=True)
     assert new.parts["DAC"] == 1.0

@@ -14,14 +14,14 @@ from replan.core.errors import ConfigError
 from replan.logs.catalogue import scenario as catalogue
 from replan.logs.edit.transform import moved
 from replan.logs.scenario import Scenario
-from replan.score.navsim import human_poses, window
+from replan.score.navsim import human_poses, window_at
 from replan.score.score_table import (
     COMBINED,
     STAGE_ONE,
     STAGE_TWO,
-    Asked,
+    SubmittedPlan,
     navsim_table,
-    of_table,
+    plans_of_table,
     weights,
 )
 
@@ -33,13 +33,13 @@ def test_weights_are_of_distance_alone(
     places: list[tuple[float, float]], end: tuple[float, float], by: float
 ) -> None:
     begins, last = np.array(places), np.array(end)
-    found = weights(last, begins)
-    assert found.sum() == pytest.approx(1.0)
-    assert weights(last + by, begins + by) == pytest.approx(found, abs=1e-6)
-    assert weights(last * [1.0, -1.0], begins * [1.0, -1.0]) == pytest.approx(found)
+    shares = weights(last, begins)
+    assert shares.sum() == pytest.approx(1.0)
+    assert weights(last + by, begins + by) == pytest.approx(shares, abs=1e-6)
+    assert weights(last * [1.0, -1.0], begins * [1.0, -1.0]) == pytest.approx(shares)
     away = np.hypot(*(begins - last).T)
     for i, j in np.ndindex(len(away), len(away)):
-        assert away[i] > away[j] or found[i] >= found[j] - 1e-12, (
+        assert away[i] > away[j] or shares[i] >= shares[j] - 1e-12, (
             "what begins nearer counts at least as much"
         )
 
@@ -68,13 +68,15 @@ def shifted() -> Scenario:
     return replace(placed, name="shifted", origin=origin)
 
 
-def plan(scenario: Scenario, t: float, token: str, follows: str = "", slower: float = 0.0) -> Asked:
-    poses: FloatArray = human_poses(window(scenario, t))
+def plan(
+    scenario: Scenario, t: float, token: str, follows: str = "", slower: float = 0.0
+) -> SubmittedPlan:
+    poses: FloatArray = human_poses(window_at(scenario, t))
     poses = poses - np.outer(slower * np.arange(1, 9) ** 2, [1.0, 0.0, 0.0])
-    return Asked(scenario.name, "me", token, t, poses, follows)
+    return SubmittedPlan(scenario.name, "me", token, t, poses, follows)
 
 
-def asked() -> list[Asked]:
+def asked() -> list[SubmittedPlan]:
     return [
         plan(log(), 3.5, "P"),
         plan(log(), 4.0, "N", slower=0.002),
@@ -117,12 +119,12 @@ def test_the_score_of_a_window_counts_with_what_follows() -> None:
 
 def test_a_window_without_follow_ups_is_left_out_and_noted() -> None:
     alone = asked()[:1] + [one for one in asked() if "N" in one.token]
-    found = navsim_table("navsim-v2", alone, {log().name: log(), "shifted": shifted()})
-    rows = found.rows.set_index("token")
+    table = navsim_table("navsim-v2", alone, {log().name: log(), "shifted": shifted()})
+    rows = table.rows.set_index("token")
     assert rows.score[COMBINED] == pytest.approx(
         rows.score["N"] * sum(rows.weight["N" + k] * rows.score["N" + k] for k in "12")
     )
-    assert any("1 of 2" in note for note in found.inexact)
+    assert any("1 of 2" in note for note in table.inexact)
 
 
 @pytest.mark.parametrize(
@@ -133,14 +135,16 @@ def test_a_window_without_follow_ups_is_left_out_and_noted() -> None:
         ("N1", "N", "navsim-v1", "navsim-v1 has one stage"),
     ],
 )
-def test_what_cannot_be_staged_is_said(second: str, follows: str, name: str, says: str) -> None:
+def test_plans_that_cannot_be_staged_are_refused(
+    second: str, follows: str, name: str, says: str
+) -> None:
     with pytest.raises(ConfigError, match=says):
         navsim_table(
             name, [plan(log(), 4.0, "N"), plan(log(), 8.0, second, follows)], {log().name: log()}
         )
 
 
-def test_a_file_names_what_its_windows_follow(tmp_path: Path) -> None:
+def test_a_file_names_the_windows_that_its_windows_follow(tmp_path: Path) -> None:
     rows = [
         {
             "log": one.log,
@@ -157,5 +161,7 @@ def test_a_file_names_what_its_windows_follow(tmp_path: Path) -> None:
     ]
     pd.DataFrame(rows).to_csv(tmp_path / "plans.csv", index=False)
     logs = {log().name: log(), "shifted": shifted()}
-    found = navsim_table("navsim-v2", of_table(tmp_path / "plans.csv", logs, relative=False), logs)
-    pd.testing.assert_frame_equal(found.rows, navsim_table("navsim-v2", asked(), logs).rows)
+    table = navsim_table(
+        "navsim-v2", plans_of_table(tmp_path / "plans.csv", logs, relative=False), logs
+    )
+    pd.testing.assert_frame_equal(table.rows, navsim_table("navsim-v2", asked(), logs).rows)

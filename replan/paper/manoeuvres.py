@@ -175,27 +175,29 @@ def along_points(points: FloatArray, speed: float, slowing: float, ahead: float)
     length, since = s[-1] - 1.0, ahead / speed
     t = np.arange(int(3600.0 / SAMPLE_S)) * SAMPLE_S
     late = np.clip(t - since, 0.0, 0.8 * speed / slowing if slowing else np.inf)
-    way = speed * t - slowing * (0.5 * late**2 + late * np.maximum(t - since - late, 0.0))
-    t = t[way < length]
-    v, way = speed - slowing * late[: len(t)], way[: len(t)]
+    travelled = speed * t - slowing * (0.5 * late**2 + late * np.maximum(t - since - late, 0.0))
+    t = t[travelled < length]
+    v, travelled = speed - slowing * late[: len(t)], travelled[: len(t)]
     a = np.where((t >= since) & (late[: len(t)] == t - since), -slowing, 0.0)
-    at = np.interp(way, s, x)
-    return Trajectory(t, at, spline(at), np.arctan(spline(at, 1)), v, a, np.interp(way, s, kappa))
+    x_at = np.interp(travelled, s, x)
+    return Trajectory(
+        t, x_at, spline(x_at), np.arctan(spline(x_at, 1)), v, a, np.interp(travelled, s, kappa)
+    )
 
 
 def s_curve(radius: float, v: float, name: str, plant: PlantTable | None = None) -> Manoeuvre:
     """The paper's scenario 1: left and right arcs of 60 degrees with clothoids of 20 m."""
     clothoid, arc = 20.0, radius * pi / 3.0 - 20.0
-    at = np.cumsum([30.0, clothoid, arc, clothoid, clothoid, arc, clothoid])
+    stations = np.cumsum([30.0, clothoid, arc, clothoid, clothoid, arc, clothoid])
     bend = np.array([0.0, 1.0, 1.0, 0.0, -1.0, -1.0, 0.0]) / radius
-    return Manoeuvre(name, along_arcs(at, bend, v, 30.0), plant=plant or {})
+    return Manoeuvre(name, along_arcs(stations, bend, v, 30.0), plant=plant or {})
 
 
 def turn(radius: float, v: float) -> Manoeuvre:
     """A quarter of a circle with clothoids of 10 m."""
-    at = np.cumsum([20.0, 10.0, radius * pi / 2.0 - 10.0, 10.0])
+    stations = np.cumsum([20.0, 10.0, radius * pi / 2.0 - 10.0, 10.0])
     bend = np.array([0.0, 1.0, 1.0, 0.0]) / radius
-    return Manoeuvre(f"turn_{radius:g}m_{v:g}mps", along_arcs(at, bend, v, 20.0))
+    return Manoeuvre(f"turn_{radius:g}m_{v:g}mps", along_arcs(stations, bend, v, 20.0))
 
 
 def stop_and_start(v: float) -> Manoeuvre:
@@ -235,14 +237,14 @@ def road(seed: int) -> Manoeuvre:
     rng = np.random.default_rng(seed)
     v, swing = rng.uniform(6.0, 25.0), rng.uniform(0.0, 0.1)
     fastest = v * (1.0 + swing)
-    at, bend, s = [0.0], [0.0], rng.uniform(0.5, 1.5) * v
+    stations, bend, s = [0.0], [0.0], rng.uniform(0.5, 1.5) * v
     while s < 15.0 * fastest:
         kappa = rng.uniform(-1.0, 1.0) * ALAT_MPS2 / fastest**2
         s_on = s + rng.uniform(1.0, 2.0) * v
-        at, bend = [*at, s, s_on], [*bend, bend[-1], kappa]
+        stations, bend = [*stations, s, s_on], [*bend, bend[-1], kappa]
         s = s_on + rng.uniform(0.5, 3.0) * v
     reference = along_curvature(
-        lambda x: np.interp(x, at, bend),
+        lambda x: np.interp(x, stations, bend),
         lambda t: v * (1.0 + swing * np.sin(2.0 * pi * t / 10.0)),
         15.0,
     )
@@ -314,10 +316,10 @@ def judged(
     """One row of the table: root mean squares over all samples, maxima of the worst drive."""
 
     def joined(name: str) -> FloatArray:
-        return np.concatenate([one.columns[name] for one in driven])
+        return np.concatenate([drive.columns[name] for drive in driven])
 
     def steepest(name: str, over: int) -> float:
-        changes = [one.columns[name][over:] - one.columns[name][:-over] for one in driven]
+        changes = [drive.columns[name][over:] - drive.columns[name][:-over] for drive in driven]
         return max(float(np.abs(change).max()) for change in changes) / (over * PERIOD_S)
 
     x, y, yaw = (driven[0].columns[name] for name in ("x", "y", "yaw"))
@@ -332,8 +334,10 @@ def judged(
         "cones_hit": float(cones_hit(manoeuvre.cones, x, y, yaw, car))
         if len(manoeuvre.cones)
         else float("nan"),
-        "lost": float(sum(bool(np.abs(one.columns["lateral"]).max() > LOST_M) for one in driven)),
-        "fell_back": float(sum(bool(one.notes) for one in driven)),
+        "lost": float(
+            sum(bool(np.abs(drive.columns["lateral"]).max() > LOST_M) for drive in driven)
+        ),
+        "fell_back": float(sum(bool(drive.notes) for drive in driven)),
     }
 
 
@@ -360,7 +364,7 @@ def compare(
     cases: dict[str, tuple[Mapping[str, float], int]] = {"nominal": ({}, 0)} | (
         VARIANTS if robustness else {}
     )
-    groups = [[one] for one in manoeuvres(car)] + (
+    groups = [[manoeuvre] for manoeuvre in manoeuvres(car)] + (
         [[road(seed) for seed in range(roads)]] if roads else []
     )
     for vehicle in vehicles:
@@ -373,8 +377,8 @@ def compare(
                 name = group[0].name if len(group) == 1 else f"{len(group)} roads"
                 for controller in controllers:
                     driven = [
-                        follow(one, controller, vehicle, car, plant=plant, delay_steps=delay)
-                        for one in group
+                        follow(manoeuvre, controller, vehicle, car, plant=plant, delay_steps=delay)
+                        for manoeuvre in group
                     ]
                     row = {
                         "vehicle": vehicle,

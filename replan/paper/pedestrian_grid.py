@@ -79,7 +79,7 @@ class GridCrossing:
         }
 
 
-CELLS = tuple(GridCrossing(*one) for one in product(EGO_KMH, WALKER_MPS, LATE_S))
+CELLS = tuple(GridCrossing(*cell) for cell in product(EGO_KMH, WALKER_MPS, LATE_S))
 
 
 def crossing(cell: GridCrossing) -> Scenario:
@@ -136,10 +136,10 @@ def avoidable(cell: GridCrossing) -> Avoidable:
     begin = walk + REACTION_S + car.brake_delay + car.brake_lag
     gap = v * walk + cell.parameters["distance_m"] - 0.5 * ADULT[1]
     keeping = v * t_out <= gap or v * t_in - gap >= car.length + ADULT[1]
-    way = [
+    stops = [
         v * begin + float(braked(t_out - begin, v, limits)) for limits in (qp.comfort, qp.emergency)
     ]
-    return Avoidable(keeping, *(one <= gap for one in way))
+    return Avoidable(keeping, *(stop <= gap for stop in stops))
 
 
 def braking_intervals(trace: Trace) -> list[tuple[float, float]]:
@@ -168,7 +168,7 @@ def braking_for_walker(trace: Trace, scenario: Scenario) -> tuple[float, list[tu
     The `braking_intervals` that begin before.
     """
     clear = walker_within(scenario, StGraphConfig().vulnerable_margin_m)[1]
-    return clear, [one for one in braking_intervals(trace) if one[0] < clear]
+    return clear, [(begin, end) for begin, end in braking_intervals(trace) if begin < clear]
 
 
 def first_reason(trace: Trace) -> str:
@@ -232,7 +232,9 @@ def verdict(can: Avoidable, *, contact: bool, released: float, jerk: float) -> s
     "ok"
     """
     if contact:
-        return "contact" if can.hard else "drive on" if can.keeping_speed else "unavoidable"
+        if can.hard:
+            return "contact"
+        return "drive on" if can.keeping_speed else "unavoidable"
     if released > RELEASE_S:
         return "late release"
     return "jerk" if can.gently and jerk > JERK_MPS3 else "ok"
@@ -242,7 +244,7 @@ def grid(
     cells: tuple[GridCrossing, ...] = CELLS,
     *,
     workers: int = 0,
-    on_cell: Callable[[int], None] = lambda done: None,
+    on_cell: Callable[[int], None] = lambda cells: None,
 ) -> pd.DataFrame:
     """The table, a row per cell in their order; the same whatever the number of `workers` (0: in
     this process).
@@ -250,12 +252,12 @@ def grid(
     PlannerError if a worker died.
     """
     rows: dict[int, dict[str, object]] = {}
-    found = (
+    outcomes = (
         run_all(measured, cells, workers)
         if workers
         else ((i, measured(cell)) for i, cell in enumerate(cells))
     )
-    for index, row in found:
+    for index, row in outcomes:
         if isinstance(row, WorkerLost):
             raise PlannerError(f"{crossing(cells[index]).name}: {row.reason}")
         rows[index] = row

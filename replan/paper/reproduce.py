@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -127,16 +128,16 @@ def pedals_figure(
     `braking`: begin and end of each braking interval, s. `clear`: time at which the walker has left
     the path, s. `limits`: limits of the time axis, s.
     """
-    asked, done = trace.commands, trace.actuation
-    if asked is None or done is None:
+    commanded, actuated = trace.commands, trace.actuation
+    if commanded is None or actuated is None:
         raise ConfigError("the drive has no commands to draw")
     panels = [
         Panel(
             name,
             f"{name.capitalize()} [0 to 1]",
             (
-                Curve("asked", "commanded", asked.t, getattr(asked, name)),
-                Curve("done", "actuated", done.t, getattr(done, name)),
+                Curve("asked", "commanded", commanded.t, getattr(commanded, name)),
+                Curve("done", "actuated", actuated.t, getattr(actuated, name)),
             ),
             0.05,
             floor=0.0,
@@ -281,9 +282,9 @@ def reproduce(out: Path, config: PaperConfig = DEFAULT, *, say: Say = lambda lin
     write_csv(out / "manoeuvres.csv", manoeuvres, float_format=DIGITS)
     say(f"the pedestrian varied: {len(config.cells)} drives")
 
-    def count(done: int) -> None:
-        if done % 20 == 0 or done == len(config.cells):
-            say(f"    {done} of {len(config.cells)}")
+    def count(cells: int) -> None:
+        if cells % 20 == 0 or cells == len(config.cells):
+            say(f"    {cells} of {len(config.cells)}")
 
     cells = grid(config.cells, workers=config.workers, on_cell=count)
     write_csv(out / "pedestrian_grid.csv", cells, float_format=DIGITS)
@@ -304,7 +305,7 @@ def free_road(out: Path, vehicle: str) -> dict[str, str]:
     """Make Fig. 9 and its recording; returns its facts in words."""
     scenario = paper.free_road.scenario()
     drives = {name: drive(scenario, vehicle, name) for name in ("mpc", "dlqr_pid")}
-    traces = [(name, one.trace) for name, one in drives.items()]
+    traces = [(name, controlled.trace) for name, controlled in drives.items()]
     path_figure(traces, planned_points(drives["mpc"].trace), scenario).save(out / "fig09_path.png")
     write_recording(
         out / "free_road.rrd",
@@ -326,15 +327,15 @@ def free_road(out: Path, vehicle: str) -> dict[str, str]:
 def crossing_pedestrian(out: Path, vehicle: str) -> dict[str, str]:
     """Make Fig. 10, Fig. 12 and their recording; returns their facts in words."""
     scenario = paper.crossing_pedestrian.scenario()
-    made = drive(scenario, vehicle, "mpc")
-    trace = made.trace
+    driven = drive(scenario, vehicle, "mpc")
+    trace = driven.trace
     moments = blocked_moments(trace.frames)
     st_figure(moments, trace, scenario).save(out / "fig10_st.png")
     clear, braking = braking_for_walker(trace, scenario)
     ends = (paper.crossing_pedestrian.parameters["walk_start_s"] - 2.0, clear + 8.0)
     pedals_figure(trace, braking, clear, ends).save(out / "fig12_pedals.png")
     write_recording(
-        out / "crossing_pedestrian.rrd", made, scenario, *evaluate_with_series(trace, scenario)
+        out / "crossing_pedestrian.rrd", driven, scenario, *evaluate_with_series(trace, scenario)
     )
     return {
         (
@@ -369,8 +370,7 @@ def blocked_moments(frames: Sequence[PlannedFrame]) -> list[tuple[str, PlannedFr
 
     ConfigError if no agent is ever in the S-T graph, or one is until the end.
     """
-    graphs = [[one for one in frame.plan.internals if isinstance(one, StGraph)] for frame in frames]
-    blocked = [i for i, some in enumerate(graphs) if any(graph.obstacles for graph in some)]
+    blocked = [i for i, frame in enumerate(frames) if _is_blocked(frame)]
     if not blocked or blocked[-1] + 1 >= len(frames):
         raise ConfigError(
             "Fig. 10 needs a drive in which a road user blocks the path and leaves it"
@@ -378,6 +378,11 @@ def blocked_moments(frames: Sequence[PlannedFrame]) -> list[tuple[str, PlannedFr
     chosen = (blocked[0], blocked[len(blocked) // 2], blocked[-1] + 1)
     words = ("first blocked", "in the middle", "free again")
     return [(word, frames[i]) for word, i in zip(words, chosen, strict=True)]
+
+
+def _is_blocked(frame: PlannedFrame) -> bool:
+    """Whether an agent is in an S-T graph of the plan."""
+    return any(isinstance(graph, StGraph) and graph.obstacles for graph in frame.plan.internals)
 
 
 SCENARIO_COLUMNS: dict[str, str] = {
@@ -400,18 +405,15 @@ def scenario_table(vehicles: Sequence[str]) -> pd.DataFrame:
 
     Last the perfect vehicle, as the bound.
     """
-    wanted = {name.partition(".")[0] for name in SCENARIO_COLUMNS.values()}
-    metrics = {name: METRICS[name] for name in METRICS if name in wanted}
-    pairs = [
-        (vehicle, name)
-        for vehicle in vehicles
-        if vehicle != "perfect"
-        for name in CONTROLLER.builtin
-    ]
+    names = {name.partition(".")[0] for name in SCENARIO_COLUMNS.values()}
+    metrics = {name: metric for name, metric in METRICS.items() if name in names}
+    models = [vehicle for vehicle in vehicles if vehicle != "perfect"]
+    pairs = product(models, CONTROLLER.builtin)
+    drives = [*pairs, ("perfect", "dlqr_pid")]
     rows: list[dict[str, object]] = []
     for family in paper.FAMILIES:
         scenario = family.scenario()
-        for vehicle, controller in (*pairs, ("perfect", "dlqr_pid")):
+        for vehicle, controller in drives:
             trace = drive(scenario, vehicle, controller).trace
             values = evaluate(trace, scenario, metrics=metrics).set_index("metric")["value"]
             head = {"vehicle": vehicle, "scenario": scenario.name, "end": trace.end.value}
@@ -427,12 +429,15 @@ def scenario_table(vehicles: Sequence[str]) -> pd.DataFrame:
 def markdown(table: pd.DataFrame) -> str:
     """A table in Markdown; numbers have three digits; `-` is NaN."""
     lines = ["| " + " | ".join(table.columns) + " |", "|" + "---|" * len(table.columns)]
-    for row in table.itertuples(index=False):
-        cells = (
-            str(v) if not isinstance(v, float) else "-" if np.isnan(v) else f"{v:.3g}" for v in row
-        )
-        lines.append("| " + " | ".join(cells) + " |")
+    rows = table.itertuples(index=False)
+    lines += ["| " + " | ".join(map(_cell, row)) + " |" for row in rows]
     return "\n".join(lines)
+
+
+def _cell(value: object) -> str:
+    if not isinstance(value, float):
+        return str(value)
+    return "-" if np.isnan(value) else f"{value:.3g}"
 
 
 FAILED_COLUMNS = (

@@ -73,13 +73,15 @@ def test_keeping_the_speed_avoids_the_walker_where_the_boxes_never_meet(cell: Gr
 
 
 @given(cell=cells)
-def test_what_comfort_avoids_hard_braking_avoids(cell: GridCrossing) -> None:
+def test_hard_braking_avoids_all_that_comfortable_braking_avoids(cell: GridCrossing) -> None:
     can = avoidable(cell)
     assert can.hard or not can.comfortable
 
 
 @given(cell=cells)
-def test_the_walker_is_in_the_middle_when_the_cell_says(cell: GridCrossing) -> None:
+def test_the_walker_is_in_the_middle_of_the_lane_at_the_time_of_the_cell(
+    cell: GridCrossing,
+) -> None:
     scenario, start = crossing(cell), crossing_pedestrian.parameters["walk_start_s"]
     front = scenario.ego.x[0] + scenario.vehicle.axle_to_front
     ego_there = (scenario.tracks.x[0] - front) / (cell.ego_kmh / 3.6)
@@ -204,7 +206,7 @@ def test_figures_9_10_and_12_are_drawn(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.nightly
-def test_the_whole_command(tmp_path: Path) -> None:
+def test_the_paper_command_writes_all_files(tmp_path: Path) -> None:
     said: list[str] = []
     config = reproduce.PaperConfig(roads=1, cells=CELLS[:2])
     page = reproduce.reproduce(tmp_path, config, say=said.append)

@@ -397,7 +397,7 @@ def waited() -> Judged:
     return judged(STANDS)
 
 
-def test_he_who_turns_back_is_waited_for(waited: Judged) -> None:
+def test_the_ego_waits_for_a_pedestrian_who_turns_back(waited: Judged) -> None:
     """The ego rests while he stands, and so the law of creeping says something."""
     ((first, end),) = waited.stands()
     assert waited.t[end] - waited.t[first] == pytest.approx(4.0, abs=0.3)
@@ -436,7 +436,7 @@ def test_oscillating_both_pedals_and_a_late_release_are_found(waited: Judged) ->
     assert "late release" in found(brake=held, throttle=np.where(long, 0.0, commands.throttle))
 
 
-def test_who_does_not_brake_meets_them() -> None:
+def test_an_ego_that_does_not_brake_meets_the_walker() -> None:
     for family in (name for name in CATALOGUE if name.startswith("pedestrian/")):
         drive = judged(Case("", family), planner="constant_speed")
         assert broken(drive) == ["contact"], family

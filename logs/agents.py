@@ -113,10 +113,10 @@ class Agents:
         cls, ids: tuple[str, ...], kinds: tuple[AgentKind, ...], rows: FloatArray, codes: IntArray
     ) -> Agents:
         """Make agents whose columns `NUMBERS` are the rows `(12, n)`, which are copied once."""
-        made = object.__new__(cls)
+        agents = object.__new__(cls)
         for name, value in zip(_COLUMNS, (ids, kinds, *frozen(rows), codes), strict=True):
-            object.__setattr__(made, name, value)
-        return made
+            object.__setattr__(agents, name, value)
+        return agents
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -133,7 +133,7 @@ class Agents:
         return np.hypot(self.vx, self.vy)
 
 
-_COLUMNS = tuple(each.name for each in fields(Agents))
+_COLUMNS = tuple(column.name for column in fields(Agents))
 NUMBERS = _COLUMNS[2:-1]
 """Names of the float columns, in order."""
 OPTIONAL = ("age", "unseen", "velocity_sigma")

@@ -42,18 +42,18 @@ ENOUGH, ENOUGH_M = 3, 5.0
 @kernel
 def _chords(offsets: IntArray, t: FloatArray, x: FloatArray, y: FloatArray) -> IntArray:
     """Return owner, first and last sample of each chord `(3, k)` by (1)."""
-    out, count = np.empty((3, len(t)), np.int64), 0
+    rows, count = np.empty((3, len(t)), np.int64), 0
     for i in range(len(offsets) - 1):
-        a = offsets[i]
-        for k in range(a + 1, offsets[i + 1]):
+        first = offsets[i]
+        for k in range(first + 1, offsets[i + 1]):
             if t[k] - t[k - 1] > STEP_S:
-                a = k
-            while t[k] - t[a] > LONGEST_S:
-                a += 1
-            if np.hypot(x[k] - x[a], y[k] - y[a]) >= WAY_M:
-                out[0, count], out[1, count], out[2, count] = i, a, k
-                count, a = count + 1, k
-    return out[:, :count].copy()
+                first = k
+            while t[k] - t[first] > LONGEST_S:
+                first += 1
+            if np.hypot(x[k] - x[first], y[k] - y[first]) >= WAY_M:
+                rows[0, count], rows[1, count], rows[2, count] = i, first, k
+                count, first = count + 1, k
+    return rows[:, :count].copy()
 
 
 @dataclass(frozen=True, eq=False)

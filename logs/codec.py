@@ -24,7 +24,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
-from functools import cache
+from functools import cache, partial
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -117,27 +117,27 @@ def _writers(kind: Any, noun: Any) -> tuple[Row, ...]:
     """Return for each field of a message its name, the noun's field, and the function that converts
     its value.
     """
-    own, found = get_type_hints(noun), list[Row]()
-    outline = next((name for name, hint in own.items() if hint == Points), "")
+    hints, rows = get_type_hints(noun), list[Row]()
+    outline = next((name for name, hint in hints.items() if hint == Points), "")
     for name, hint in get_type_hints(kind).items():
         source, axis = (outline, name) if name in ("x", "y") else (name[:-2], name[-1])
-        if name in own:
-            found.append((name, name, _written(hint, own[name])))
-        elif own.get(source) == Points:
-            found.append((name, source, _AXES[axis]))
-    return tuple(found)
+        if name in hints:
+            rows.append((name, name, _written(hint, hints[name])))
+        elif hints.get(source) == Points:
+            rows.append((name, source, _AXES[axis]))
+    return tuple(rows)
 
 
-def _written(hint: Any, own: Any = None) -> Convert | None:
+def _written(hint: Any, noun_type: Any = None) -> Convert | None:
     """Return the function that converts a noun's value, of type `own`, for a message; None: no
     conversion.
     """
-    if (some := _without_none(hint)) is not hint:
-        return _or_none(_written(some, own))
+    if (inner := _without_none(hint)) is not hint:
+        return _or_none(_written(inner, noun_type))
     origin, args = get_origin(hint), get_args(hint)
     if hint is bytes or hint == Column:
         return packed
-    if (hint is str or origin is Literal) and _is_enum(own):
+    if (hint is str or origin is Literal) and _is_enum(noun_type):
         return lambda member: member.name.lower()
     if origin is dict:
         return dict
@@ -149,15 +149,16 @@ def _written(hint: Any, own: Any = None) -> Convert | None:
         return None
     item = _written(args[0])
 
-    def listed(values: Any) -> list[Any]:
+    def write_list(values: Any) -> list[Any]:
         if isinstance(values, np.ndarray):
-            out: list[Any] = values.tolist()
-            return out
-        values = values.values() if isinstance(values, Mapping) else values
-        values = sorted(values) if isinstance(values, frozenset) else values
+            values = values.tolist()
+        elif isinstance(values, Mapping):
+            values = values.values()
+        elif isinstance(values, frozenset):
+            values = sorted(values)
         return list(values) if item is None else [item(value) for value in values]
 
-    return listed
+    return write_list
 
 
 @cache
@@ -165,20 +166,20 @@ def _readers(noun: Any, kind: Any) -> tuple[Row, ...]:
     """Return for each noun field in a message its name, the message's field ("": several), and the
     converter.
     """
-    hints, names, found = get_type_hints(noun), kind.__struct_fields__, list[Row]()
-    for name in (each.name for each in fields(noun)):
+    hints, names, rows = get_type_hints(noun), kind.__struct_fields__, list[Row]()
+    for name in (field.name for field in fields(noun)):
         if name in names:
-            found.append((name, name, _read(hints[name], ABSENT.get(name))))
+            rows.append((name, name, _read(hints[name], ABSENT.get(name))))
         elif hints[name] == Points:
             axes = (f"{name}_x", f"{name}_y") if f"{name}_x" in names else ("x", "y")
-            found.append((name, "", _columns(noun, kind, *axes)))
-    return tuple(found)
+            rows.append((name, "", _columns(noun, kind, *axes)))
+    return tuple(rows)
 
 
 def _columns(noun: type, kind: Any, x: str, y: str) -> Convert:
     """Return a function that makes points from two columns of a message."""
-    serialised = {each.name: each.encode_name for each in msgspec.structs.fields(kind)}
-    what = "".join(
+    serialised = {column.name: column.encode_name for column in msgspec.structs.fields(kind)}
+    words = "".join(
         f" {letter.lower()}" if letter.isupper() else letter for letter in noun.__name__
     ).strip()
 
@@ -186,7 +187,7 @@ def _columns(noun: type, kind: Any, x: str, y: str) -> Convert:
         xs, ys = getattr(message, x), getattr(message, y)
         if len(xs) != len(ys):
             raise ValueError(
-                f"{what} {message.id} has {len(xs)} {serialised[x]} and {len(ys)} {serialised[y]}"
+                f"{words} {message.id} has {len(xs)} {serialised[x]} and {len(ys)} {serialised[y]}"
             )
         return np.column_stack([xs, ys])
 
@@ -195,11 +196,11 @@ def _columns(noun: type, kind: Any, x: str, y: str) -> Convert:
 
 def _read(hint: Any, absent: float | None = None) -> Convert | None:
     """Return the function that converts a message's value for a noun; None: no conversion."""
-    if (some := _without_none(hint)) is not hint:
-        return _or_none(_read(some, absent))
+    if (inner := _without_none(hint)) is not hint:
+        return _or_none(_read(inner, absent))
     origin, args = get_origin(hint), get_args(hint)
     if hint is float:
-        return lambda value: np.nan if value is None else value
+        return _number
     if hint == Points:
         return _points
     if hint == FloatArray:
@@ -211,19 +212,32 @@ def _read(hint: Any, absent: float | None = None) -> Convert | None:
     if hint == IntArray:
         return lambda values: np.array(values, np.int64)
     if _is_enum(hint):
-        return lambda value: hint[value.upper()] if isinstance(value, str) else value
+        return partial(_member, hint)
     if origin is frozenset:
         return frozenset
     if origin is tuple and args[-1] is ...:
         if get_origin(args[0]) is tuple:
-            return lambda pairs: tuple(
-                (key, np.nan if value is None else value) for key, value in pairs.items()
-            )
+            return lambda pairs: tuple((key, _number(value)) for key, value in pairs.items())
         item = None if _is_enum(args[0]) else _read(args[0])
         return tuple if item is None else lambda values: tuple(map(item, values))
     if isinstance(origin, type) and issubclass(origin, Mapping):
-        return lambda values: {value.id: _noun(args[1], value) for value in values}
-    return (lambda value: _noun(hint, value)) if is_dataclass(hint) else None
+        return partial(_nouns_by_id, args[1])
+    return partial(_noun, hint) if is_dataclass(hint) else None
+
+
+def _number(value: float | None) -> float:
+    return np.nan if value is None else value
+
+
+def _member(kind: type[Enum], value: Any) -> Any:
+    """Return the member of an Enum that a text names; a value that is no text is returned
+    unchanged.
+    """
+    return kind[value.upper()] if isinstance(value, str) else value
+
+
+def _nouns_by_id(kind: Any, values: Any) -> dict[Any, Any]:
+    return {value.id: _noun(kind, value) for value in values}
 
 
 def _noun(kind: Any, value: Any) -> Any:
@@ -239,12 +253,18 @@ def _points(value: Any) -> FloatArray:
 
 def _without_none(hint: Any) -> Any:
     """Return the type of an optional field without None; any other type unchanged."""
-    some = [each for each in get_args(hint) if each is not NoneType]
-    return some[0] if get_origin(hint) in (Union, UnionType) and len(some) == 1 else hint
+    types = [member for member in get_args(hint) if member is not NoneType]
+    return types[0] if get_origin(hint) in (Union, UnionType) and len(types) == 1 else hint
 
 
 def _or_none(convert: Convert | None) -> Convert | None:
-    return convert and (lambda value: None if value is None else convert(value))
+    if convert is None:
+        return None
+
+    def convert_or_none(value: Any) -> Any:
+        return None if value is None else convert(value)
+
+    return convert_or_none
 
 
 def _is_enum(hint: Any) -> bool:

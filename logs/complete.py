@@ -10,10 +10,10 @@
 (4) no speed limit on lanes: the speed at the start rounded up to 10 km/h, at least
     `Road.default_speed_limit`. Later speeds are not used: otherwise the planner would know how fast
     the log's driver will be
-(5) no lanes: `MARGIN` x the speed below which `SHARE` of the way was driven, rounded up to `STEP`;
-    at least the speed at the start and `LEAST`; (4) for a drive of less than `MIN_PATH`. Real
-    limits are set by the 85th percentile of the driven speeds, so the drive is an estimate where
-    nothing else is known. One number reveals little of its course
+(5) no lanes: `MARGIN` x the speed below which `SHARE` of the way was driven, rounded up to
+    `STEP_MPS`; at least the speed at the start and `LEAST_MPS`; (4) for a drive of less than
+    `MIN_PATH`. Real limits are set by the 85th percentile of the driven speeds, so the drive is an
+    estimate where nothing else is known. One number reveals little of its course
 (6) no lanes, but agents drive beside the driven path: the next lane's middle is one lane's width
     away. The lane's width is the median of their distances, within `WIDTHS_M`, if they are at least
     `LEAST_USERS`; else 3.5 m (`Road.along`). Used are vehicles, and clusters as wide as one, that
@@ -40,9 +40,11 @@ from replan.logs.tracks import Tracks
 MIN_STEP = 0.05
 MIN_PATH = 5.0
 LIMIT_STEP = 10.0 / 3.6
-SHARE, MARGIN, STEP, LEAST = 0.85, 1.1, 5.0 / 3.6, 20.0 / 3.6
-"""Constants of (5); `STEP` and `LEAST` in m/s."""
-WIDTHS_M, BESIDE_M, LEAST_USERS, LEAST_SAMPLES = (3.0, 4.0), (2.25, 5.5), 3, 5
+SHARE, MARGIN = 0.85, 1.1
+STEP_MPS, LEAST_MPS = 5.0 / 3.6, 20.0 / 3.6
+"""Constants of (5)."""
+WIDTHS_M, BESIDE_M = (3.0, 4.0), (2.25, 5.5)
+LEAST_USERS, LEAST_SAMPLES = 3, 5
 DRIVES_MPS, ALONG_RAD, VEHICLE_M = 2.0, np.radians(20.0), 1.2
 """Constants of (6); a vehicle is at least `VEHICLE_M` wide."""
 BEHIND = 10.0
@@ -72,12 +74,12 @@ def derived_acceleration(t: FloatArray, v: FloatArray) -> FloatArray:
 
 def derived_curvature(x: FloatArray, y: FloatArray, yaw: FloatArray, v: FloatArray) -> FloatArray:
     """Backward differences (2) of the heading over the way `(n,)`, 1/m."""
-    way = np.hypot(np.diff(x), np.diff(y)) * np.where(v[1:] < 0.0, -1.0, 1.0)
+    steps_m = np.hypot(np.diff(x), np.diff(y)) * np.where(v[1:] < 0.0, -1.0, 1.0)
     turn = np.diff(np.unwrap(yaw))
-    moved = np.abs(way) >= MIN_STEP
-    kappa = np.r_[0.0, np.divide(turn, way, out=np.zeros(len(way)), where=moved)]
-    held = np.maximum.accumulate(np.where(np.r_[True, moved], np.arange(len(x)), 0))
-    return np.asarray(kappa[held])
+    moved = np.abs(steps_m) >= MIN_STEP
+    kappa = np.r_[0.0, np.divide(turn, steps_m, out=np.zeros(len(steps_m)), where=moved)]
+    last_moved = np.maximum.accumulate(np.where(np.r_[True, moved], np.arange(len(x)), 0))
+    return np.asarray(kappa[last_moved])
 
 
 def completed(columns: dict[str, FloatArray], notes: list[str]) -> Trajectory:
@@ -118,15 +120,17 @@ def driven_limit(ego: Trajectory) -> tuple[float, str]:
     it.
     """
     v = np.abs(ego.v)
-    pace, way = 0.5 * (v[1:] + v[:-1]), 0.5 * (v[1:] + v[:-1]) * np.diff(ego.t)
-    if way.sum() < MIN_PATH:
+    pace = 0.5 * (v[1:] + v[:-1])
+    steps_m = pace * np.diff(ego.t)
+    if steps_m.sum() < MIN_PATH:
         return assumed_limit(ego), f"{ASSUMED}, for less than {MIN_PATH:g} m of way"
     order = np.argsort(pace, kind="stable")
-    usual = MARGIN * float(pace[order][np.searchsorted(np.cumsum(way[order]), SHARE * way.sum())])
-    limit = ceil(max(usual, float(v[0])) / STEP - TIE) * STEP
-    if limit < LEAST:
+    row = np.searchsorted(np.cumsum(steps_m[order]), SHARE * steps_m.sum())
+    usual = MARGIN * float(pace[order][row])
+    limit = ceil(max(usual, float(v[0])) / STEP_MPS - TIE) * STEP_MPS
+    if limit < LEAST_MPS:
         return (
-            LEAST,
+            LEAST_MPS,
             f"the least that is assumed, as {SHARE:.0%} of the way was driven at "
             f"{usual / MARGIN:.1f} m/s",
         )
@@ -148,9 +152,10 @@ def road_along(ego: Trajectory, notes: list[str], width: float = 3.5) -> Road:
         path = path[0] + np.array([[0.0], [MIN_PATH]]) * ahead
     path = np.vstack([path[0] - np.arange(BEHIND, 0.0, -2.0)[:, None] * ahead, path])
     limit, rule = driven_limit(part)
-    way = "its heading, as it hardly moves" if stands else "the driven path"
-    way = way if last or not backward else "its heading, as it does not drive forward"
-    notes.append(f"{ONE_LANE} along {way}. Its speed limit is assumed: {limit:.1f} m/s, {rule}.")
+    course = "its heading, as it hardly moves" if stands else "the driven path"
+    if backward and not last:
+        course = "its heading, as it does not drive forward"
+    notes.append(f"{ONE_LANE} along {course}. Its speed limit is assumed: {limit:.1f} m/s, {rule}.")
     if backward:
         unsigned = (
             " (at a speed that is not negative)"
@@ -195,30 +200,30 @@ def passed_width(road: Road, tracks: Tracks, notes: list[str]) -> Road:
     middle, across = 0.5 * (lane.left + lane.right), lane.left - lane.right
     across /= np.hypot(*across.T)[:, None]
     place, velocity = np.column_stack([tracks.x, tracks.y]), np.column_stack([tracks.vx, tracks.vy])
-    away, nearest = cKDTree(middle).query(place, distance_upper_bound=BESIDE_M[1] + 1.0)
-    near = np.flatnonzero(np.isfinite(away))
-    at = np.asarray(nearest)[near]
-    normal, pace = across[at], np.hypot(*velocity[near].T)
-    offset = ((place[near] - middle[at]) * normal).sum(axis=1)
+    to_middle, nearest = cKDTree(middle).query(place, distance_upper_bound=BESIDE_M[1] + 1.0)
+    near = np.flatnonzero(np.isfinite(to_middle))
+    stations = np.asarray(nearest)[near]
+    normal, pace = across[stations], np.hypot(*velocity[near].T)
+    offset = ((place[near] - middle[stations]) * normal).sum(axis=1)
     along = np.abs((velocity[near] * normal).sum(axis=1)) < np.sin(ALONG_RAD) * pace
     vehicle = (tracks.width >= VEHICLE_M) & ~np.array(
         [kind.is_vulnerable for kind in tracks.kinds], np.bool_
     )
-    who = tracks.owner[near]
-    drives = along & (pace > DRIVES_MPS) & vehicle[who]
+    owners = tracks.owner[near]
+    drives = along & (pace > DRIVES_MPS) & vehicle[owners]
     distances = [
-        abs(np.median(offset[drives & (who == i)]))
-        for i in np.unique(who[drives])
-        if np.count_nonzero(drives & (who == i)) >= LEAST_SAMPLES
+        abs(np.median(offset[drives & (owners == i)]))
+        for i in np.unique(owners[drives])
+        if np.count_nonzero(drives & (owners == i)) >= LEAST_SAMPLES
     ]
-    beside = [each for each in distances if BESIDE_M[0] < each < BESIDE_M[1]]
+    beside = [distance for distance in distances if BESIDE_M[0] < distance < BESIDE_M[1]]
     if len(beside) < LEAST_USERS:
         return road
     width = float(np.clip(np.median(beside), *WIDTHS_M))
     notes.append(
         f"{NO_LANES}: the one lane's width is assumed: {width:.2f} m, as {len(beside)} road users "
-        "drive beside it at"
-        f" {np.median(beside):.2f} m (median)."
+        "drive beside it "
+        f"at {np.median(beside):.2f} m (median)."
     )
     lane = replace(lane, left=middle + 0.5 * width * across, right=middle - 0.5 * width * across)
     return replace(road, lanes={lane.id: lane})

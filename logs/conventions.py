@@ -113,10 +113,10 @@ def _check_reading(
     """Raise LogError for headings of `HEADINGS`; arguments as in `reading_of`."""
     reading = reading_of(yaw, chords, reverse)
     if reading:
-        what = (
+        sentence = (
             f"the headings look like {reading}: they fit the direction of motion so, and not in rad"
         )
-        raise LogError(what, topic=topic, remedy=_heading_remedy(topic, (reading,), is_table))
+        raise LogError(sentence, topic=topic, remedy=_heading_remedy(topic, (reading,), is_table))
 
 
 def _check_across(topic: str, yaw: FloatArray, chords: Chords, is_table: bool) -> None:
@@ -130,11 +130,11 @@ def _check_across(topic: str, yaw: FloatArray, chords: Chords, is_table: bool) -
         for name, (factor, offset) in HEADINGS.items()
         if np.median(np.abs(chords.off(offset + factor * yaw))) < FITS_RAD
     )
-    what = (
+    sentence = (
         f"the headings are {np.median(off):.2f} rad off the direction of motion all the time: no "
         "car drives so"
     )
-    raise LogError(what, topic=topic, remedy=_heading_remedy(topic, fitting, is_table))
+    raise LogError(sentence, topic=topic, remedy=_heading_remedy(topic, fitting, is_table))
 
 
 def _heading_remedy(topic: str, fitting: tuple[str, ...], is_table: bool) -> str:
@@ -185,14 +185,14 @@ def are_degrees(
         )
         if not chords.shows or not (chords.way <= FASTEST_MPS * chords.dt).all():
             continue
-        way = float(chords.way.sum())
-        if way / SAME_WAY < by_speed < way * SAME_WAY:
+        by_chords = float(chords.way.sum())
+        if by_chords / SAME_WAY < by_speed < by_chords * SAME_WAY:
             return True
         headings = [
             paths.yaw,
             *(offset + factor * paths.yaw for factor, offset in HEADINGS.values()),
         ]
-        along = max(float(np.mean(np.abs(chords.off(each)) < FITS_RAD)) for each in headings)
+        along = max(float(np.mean(np.abs(chords.off(yaw)) < FITS_RAD)) for yaw in headings)
         if (
             along >= MOST and by_speed != 0.0 and not by_speed > SAME_WAY * in_metres
         ):  # the speed is derived, or unknown
@@ -247,9 +247,9 @@ def without_ego(scenario: Scenario) -> Scenario:
     near = np.minimum(np.hypot(dx, dy), np.hypot(along, aside))
     same = asked & (near <= SAME_M)
 
-    def extent(values: FloatArray, some: BoolArray) -> FloatArray:
-        most = np.maximum.reduceat(np.where(some, values, -np.inf), starts)
-        return np.asarray(most - np.minimum.reduceat(np.where(some, values, np.inf), starts))
+    def extent(values: FloatArray, rows: BoolArray) -> FloatArray:
+        greatest = np.maximum.reduceat(np.where(rows, values, -np.inf), starts)
+        return np.asarray(greatest - np.minimum.reduceat(np.where(rows, values, np.inf), starts))
 
     count, lasts = np.add.reduceat(asked, starts, dtype=np.int64), extent(t, asked)
     mostly = (count > 0) & (np.add.reduceat(inside, starts, dtype=np.int64) >= MOST * count)
@@ -259,14 +259,14 @@ def without_ego(scenario: Scenario) -> Scenario:
     named = np.array(
         ["".join(filter(str.isalpha, name.lower())) in EGO_NAMES for name in tracks.ids], np.bool_
     )
-    found = np.flatnonzero(rides | stays | (mostly & named))
-    if not len(found):
+    ego_tracks = np.flatnonzero(rides | stays | (mostly & named))
+    if not len(ego_tracks):
         return scenario
     keep = np.ones(len(tracks), np.bool_)
-    keep[found] = False
-    names = ", ".join(tracks.ids[i] for i in found)
+    keep[ego_tracks] = False
+    names = ", ".join(tracks.ids[i] for i in ego_tracks)
     note = (
-        f"{names} among the road users {'is' if len(found) == 1 else 'are'} the ego itself: "
+        f"{names} among the road users {'is' if len(ego_tracks) == 1 else 'are'} the ego itself: "
         "left out."
     )
     spans, left = scenario.traffic_spans, tracks.taken(keep[tracks.owner])

@@ -58,23 +58,26 @@ def reversals(ego: Trajectory) -> tuple[tuple[int, int], ...]:
     w = _way(ego)
     if (np.maximum.accumulate(w) - w).max() < REVERSE_M:
         return ()
-    found, begin, top, bottom, way = list[tuple[int, int]](), -1, 0, 0, w.tolist()
-    for k, here in enumerate(way):
-        if begin < 0 and here > way[top]:
+    spans: list[tuple[int, int]] = []
+    begin: int | None = None
+    top = bottom = 0
+    for k, station in enumerate(w.tolist()):
+        if begin is None and station > w[top]:
             top = k
-        elif begin < 0 and way[top] - here >= REVERSE_M:
+        elif begin is None and w[top] - station >= REVERSE_M:
             if _is_reverse(ego, w, top, k):
                 begin, bottom = max(_standing(ego, w, top, k), default=top), k
             else:
                 top = k
-        elif begin >= 0 and here < way[bottom]:
+        elif begin is not None and station < w[bottom]:
             bottom = k
-        elif begin >= 0 and here - way[bottom] >= REVERSE_M:
-            found.append((begin, bottom))
-            begin, top = -1, k
-    found += [(begin, bottom)] if begin >= 0 else []
+        elif begin is not None and station - w[bottom] >= REVERSE_M:
+            spans.append((begin, bottom))
+            begin, top = None, k
+    if begin is not None:
+        spans.append((begin, bottom))
     return tuple(
-        (first, min(_standing(ego, w, last, first), default=last)) for first, last in found
+        (first, min(_standing(ego, w, last, first), default=last)) for first, last in spans
     )
 
 
@@ -129,12 +132,9 @@ def drivable_part(scenario: Scenario) -> Scenario:
         return scenario
     part = forward_part(ego, backward)
     if part is None:
-        what = (
-            f"the log reverses from {described(ego, backward)}: planners drive forward only, so "
-            "none of it is driven"
-        )
         raise LogError(
-            f"{scenario.name}: {what}",
+            f"{scenario.name}: the log reverses from {described(ego, backward)}: planners drive "
+            "forward only, so none of it is driven",
             remedy="choose a part that goes forward with --from and --to",
         )
     first, last = part

@@ -90,13 +90,16 @@ class Visibility:
 @kernel
 def _hidden(points: FloatArray, sensor: FloatArray, shadows: FloatArray) -> BoolArray:
     """Return which points the sensor (x, y, yaw, range, field of view) does not see."""
-    out = np.zeros(len(points), np.bool_)
+    sensor_x, sensor_y, yaw, reach, field_of_view = sensor
+    hidden = np.zeros(len(points), np.bool_)
     for i in range(len(points)):
-        dx, dy = points[i, 0] - sensor[0], points[i, 1] - sensor[1]
-        out[i] = hypot(dx, dy) > sensor[3] or abs(wrap(atan2(dy, dx) - sensor[2])) > 0.5 * sensor[4]
+        x, y = points[i, 0], points[i, 1]
+        dx, dy = x - sensor_x, y - sensor_y
+        turn = abs(wrap(atan2(dy, dx) - yaw))
+        hidden[i] = hypot(dx, dy) > reach or turn > 0.5 * field_of_view
         for k in range(len(shadows)):
-            out[i] = out[i] or inside(points[i, 0], points[i, 1], shadows[k])
-    return out
+            hidden[i] = hidden[i] or inside(x, y, shadows[k])
+    return hidden
 
 
 @dataclass(frozen=True, eq=False, slots=True)

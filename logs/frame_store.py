@@ -44,18 +44,18 @@ class SpilledTrajectory(Trajectory):
     def put(cls, path: Trajectory, file: Scratch) -> SpilledTrajectory:
         """Write a trajectory to the file and return the one that reads from it."""
         data = np.stack([getattr(path, name) for name in TRAJECTORY_COLUMNS]).tobytes()
-        made = object.__new__(cls)
+        spilled = object.__new__(cls)
         for name, value in (("_file", file), ("_begin", file.put(data)), ("_size", len(data))):
-            object.__setattr__(made, name, value)
-        return made
+            object.__setattr__(spilled, name, value)
+        return spilled
 
     @property
     def loaded(self) -> Trajectory:
         """The same trajectory in memory."""
-        made = object.__new__(Trajectory)
+        trajectory = object.__new__(Trajectory)
         for name, row in zip(TRAJECTORY_COLUMNS, self._rows(), strict=True):
-            object.__setattr__(made, name, row)
-        return made
+            object.__setattr__(trajectory, name, row)
+        return trajectory
 
     def _rows(self) -> FloatArray:
         return np.frombuffer(self._file.get(self._begin, self._size)).reshape(

@@ -48,8 +48,8 @@ _ROWS = 4096
 
 def _thinned(places: FloatArray) -> FloatArray:
     """Return places `(n, 3)` that are at least `SPACING_M` apart along the way."""
-    way = np.r_[0.0, np.cumsum(np.hypot(*np.diff(places[:, :2], axis=0).T))]
-    return places[np.unique((way // SPACING_M).astype(np.int64), return_index=True)[1]]
+    station = np.r_[0.0, np.cumsum(np.hypot(*np.diff(places[:, :2], axis=0).T))]
+    return places[np.unique((station // SPACING_M).astype(np.int64), return_index=True)[1]]
 
 
 def _clearance(
@@ -116,15 +116,15 @@ def on_the_way(
         return keep
     labels = np.asarray(names, dtype=object).astype(str)
     near = np.isfinite(level)
-    users, whose = np.unique(labels, return_inverse=True)
-    counts = [
-        np.bincount(whose[some], minlength=len(users)) for some in (near, level > 0, level < 0)
-    ]
-    gone = (counts[0] > 0) & (np.maximum(counts[1], counts[2]) >= MOST * counts[0])
+    users, owner = np.unique(labels, return_inverse=True)
+    near_way, above_way, below_way = (
+        np.bincount(owner[rows], minlength=len(users)) for rows in (near, level > 0, level < 0)
+    )
+    gone = (near_way > 0) & (np.maximum(above_way, below_way) >= MOST * near_way)
     gone &= users != ""
     if not gone.any():
         return keep
-    keep = ~gone[whose]
+    keep = ~gone[owner]
     off &= ~keep
     notes.append(
         f"{counted(int(gone.sum()), 'road user')} ({listed(users[gone].tolist(), NAMED)}) above or "
@@ -183,9 +183,9 @@ def lanes_off_the_way(
 def _filled(points: FloatArray) -> FloatArray:
     """Return points `(n, 3)` with more between those that are more than `SPACING_LANE_M` apart."""
     steps = np.hypot(*np.diff(points[:, :2], axis=0).T)
-    way = np.r_[0.0, np.cumsum(np.maximum(steps, 1e-6))]
-    fine = np.union1d(way, np.arange(0.0, way[-1], SPACING_LANE_M))
-    return np.column_stack([np.interp(fine, way, points[:, axis]) for axis in range(3)])
+    stations = np.r_[0.0, np.cumsum(np.maximum(steps, 1e-6))]
+    fine = np.union1d(stations, np.arange(0.0, stations[-1], SPACING_LANE_M))
+    return np.column_stack([np.interp(fine, stations, points[:, axis]) for axis in range(3)])
 
 
 def _direction(lane: Lane, x: float, y: float) -> float:

@@ -161,11 +161,11 @@ class LogSettings:
         vehicle = assumed_car(self.car, notes)
         odd = {size for size, value in self.car.items() if getattr(vehicle, size) != value}
         if odd:
-            what = (
+            sentence = (
                 f"car: a {min(odd)} of {self.car[min(odd)]:g} m does not fit a length of "
                 f"{vehicle.length:g} m"
             )
-            raise LogError(what, topic="[log]", remedy="correct the sizes, or state all four")
+            raise LogError(sentence, topic="[log]", remedy="correct the sizes, or state all four")
         return vehicle
 
     def between(self, begin: float, end: float) -> LogSettings:

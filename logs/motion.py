@@ -118,9 +118,9 @@ def estimated(
     increases. `columns` are t, x, y, vx, vy `(m,)`, NaN where the log has no velocity.
     """
     jerk = np.array([JERK[kind] for kind in kinds]) * moves
-    out = np.zeros((4, len(columns[0])))
-    _smooth_all(parts, owner, jerk, *columns, out)
-    return Motion(*(frozen(row) for row in out))
+    smoothed = np.zeros((4, len(columns[0])))
+    _smooth_all(parts, owner, jerk, *columns, smoothed)
+    return Motion(*map(frozen, smoothed))
 
 
 @kernel
@@ -171,13 +171,18 @@ def _smooth_all(
 
 @inner_kernel
 def _noise(
-    t: FloatArray, zx: FloatArray, zy: FloatArray, mine: BoolArray, floor: float, unknown: float
+    t: FloatArray,
+    zx: FloatArray,
+    zy: FloatArray,
+    is_measured: BoolArray,
+    floor: float,
+    unknown: float,
 ) -> float:
-    """Return the standard deviation of the noise (4) of the samples that `mine` marks."""
-    found = np.empty(max(len(t) - 3, 0))
+    """Return the standard deviation of the noise (4) of the samples that `is_measured` marks."""
+    squares = np.empty(max(len(t) - 3, 0))
     count = 0
-    for k in range(len(found)):
-        if not mine[k : k + 4].all():
+    for k in range(len(squares)):
+        if not is_measured[k : k + 4].all():
             continue
         square, length, still = np.zeros(2), 0.0, True
         for i in range(4):
@@ -190,11 +195,11 @@ def _noise(
             length += weight * weight
             still = still and zx[k + i] == zx[k] and zy[k + i] == zy[k]
         if not still:
-            found[count] = (square[0] ** 2 + square[1] ** 2) / length
+            squares[count] = (square[0] ** 2 + square[1] ** 2) / length
             count += 1
     if count > 0:
-        return max((np.median(found[:count]) / (2.0 * log(2.0))) ** 0.5, floor)
-    return floor if len(found) > 0 else unknown
+        return max((np.median(squares[:count]) / (2.0 * log(2.0))) ** 0.5, floor)
+    return floor if len(squares) > 0 else unknown
 
 
 @inner_kernel
@@ -205,13 +210,13 @@ def _smooth(
     logged: BoolArray,
     noise: FloatArray,
     q: float,
-    out: FloatArray,
+    smoothed: FloatArray,
 ) -> None:
-    """Fill `out` `(4, n)`: vx, vy, ax, ay of one part of a track."""
+    """Fill `smoothed` `(4, n)`: vx, vy, ax, ay of one part of a track."""
     n = len(t)
     if n == 1:
         if logged[0]:
-            out[0, 0], out[1, 0] = zx[0], zy[0]
+            smoothed[0, 0], smoothed[1, 0] = zx[0], zy[0]
         return
     means, covs, gains = np.empty((n, 6)), np.empty((n, 6)), np.empty((n, 3))
     off, spread = np.empty((n, 2)), np.empty(n)
@@ -223,7 +228,7 @@ def _smooth(
     for i in range(len(CALM)):
         if weights[i] > _NEGLIGIBLE:
             _forward(t, zx, zy, logged, noise, CALM[i] * q, means, covs, gains, off, spread)
-            _backward(t, logged, means, covs, gains, off, spread, weights[i], out)
+            _backward(t, logged, means, covs, gains, off, spread, weights[i], smoothed)
 
 
 @kernel
@@ -245,19 +250,23 @@ def _forward(
     Fills the predictions per sample: `means` (p, v, a of x, then of y), `covs` (pp, pv, pa, vv, va,
     aa: the same for both axes); `gains` K, `off` the innovations and `spread` their variance S.
     """
-    px, py, ax, ay = zx[0], zy[0], 0.0, 0.0
+    px, py = zx[0], zy[0]
     vx, vy = (zx[1] - zx[0]) / (t[1] - t[0]), (zy[1] - zy[0]) / (t[1] - t[0])
+    ax, ay = 0.0, 0.0
     if logged[0] or logged[1]:
-        at = 0 if logged[0] else 1
-        px, py, vx, vy = 0.0, 0.0, zx[at], zy[at]
-    pp, pv, pa, vv, va, aa = _DIFFUSE[0], 0.0, 0.0, _DIFFUSE[1], 0.0, ACCEL_MPS2**2
+        row = 0 if logged[0] else 1
+        px, py = 0.0, 0.0
+        vx, vy = zx[row], zy[row]
+    pp, vv, aa = _DIFFUSE[0], _DIFFUSE[1], ACCEL_MPS2**2
+    pv, pa, va = 0.0, 0.0, 0.0
     score = 0.0
     for k in range(len(t)):
         if k > 0:
             d = t[k] - t[k - 1]
             h = 0.5 * d * d
             # (1)
-            px, py, vx, vy = px + d * vx + h * ax, py + d * vy + h * ay, vx + d * ax, vy + d * ay
+            px, vx = px + d * vx + h * ax, vx + d * ax
+            py, vy = py + d * vy + h * ay, vy + d * ay
             # (2)
             pp += (
                 2.0 * d * pv
@@ -274,19 +283,17 @@ def _forward(
             aa += q * d
         means[k, 0], means[k, 1], means[k, 2] = px, vx, ax
         means[k, 3], means[k, 4], means[k, 5] = py, vy, ay
-        covs[k, 0], covs[k, 1], covs[k, 2], covs[k, 3], covs[k, 4], covs[k, 5] = (
-            pp,
-            pv,
-            pa,
-            vv,
-            va,
-            aa,
-        )
+        covs[k, 0], covs[k, 1], covs[k, 2] = pp, pv, pa
+        covs[k, 3], covs[k, 4], covs[k, 5] = vv, va, aa
         if logged[k]:  # (3)
-            hp, hv, ha, r, ex, ey = pv, vv, va, noise[1], zx[k] - vx, zy[k] - vy
+            hp, hv, ha = pv, vv, va
+            ex, ey = zx[k] - vx, zy[k] - vy
+            r = noise[1]
             s = vv + r
         else:
-            hp, hv, ha, r, ex, ey = pp, pv, pa, noise[0], zx[k] - px, zy[k] - py
+            hp, hv, ha = pp, pv, pa
+            ex, ey = zx[k] - px, zy[k] - py
+            r = noise[0]
             s = pp + r
         kp, kv, ka = hp / s, hv / s, ha / s
         px, vx, ax = px + kp * ex, vx + kv * ex, ax + ka * ex
@@ -313,9 +320,9 @@ def _backward(
     off: FloatArray,
     spread: FloatArray,
     weight: float,
-    out: FloatArray,
+    smoothed: FloatArray,
 ) -> None:
-    """(6): add `weight` times the smoothed velocity and acceleration to `out` `(4, n)`."""
+    """(6): add `weight` times the smoothed velocity and acceleration to `smoothed` `(4, n)`."""
     back = np.zeros((2, 3))
     for k in range(len(t) - 1, -1, -1):
         d = t[k + 1] - t[k] if k + 1 < len(t) else 0.0
@@ -326,9 +333,9 @@ def _backward(
             change = gains[k, 0] * p + gains[k, 1] * v + gains[k, 2] * a + off[k, c] / spread[k]
             p, v = (p, v - change) if measured == 1 else (p - change, v)
             back[c, 0], back[c, 1], back[c, 2] = p, v, a
-            out[c, k] += weight * (
+            smoothed[c, k] += weight * (
                 means[k, 3 * c + 1] - covs[k, 1] * p - covs[k, 3] * v - covs[k, 4] * a
             )
-            out[2 + c, k] += weight * (
+            smoothed[2 + c, k] += weight * (
                 means[k, 3 * c + 2] - covs[k, 2] * p - covs[k, 4] * v - covs[k, 5] * a
             )

@@ -43,16 +43,16 @@ class Spans:
         samples.
         """
         tracks = self._tracks
-        there = (self._first <= last + 1e-6) & (self._last >= first - BACK_S)
-        who = np.flatnonzero(there | tracks.static)
-        begin, end = tracks.offsets[who], tracks.offsets[who + 1]
+        is_present = (self._first <= last + 1e-6) & (self._last >= first - BACK_S)
+        rows = np.flatnonzero(is_present | tracks.static)
+        begin, end = tracks.offsets[rows], tracks.offsets[rows + 1]
         low, high = begin.copy(), end.copy()
-        for k in np.flatnonzero(~tracks.static[who]):
+        for k in np.flatnonzero(~tracks.static[rows]):
             t = tracks.t[begin[k] : end[k]]
             back, now, ahead = np.searchsorted(t, (first - BACK_S, first, last + 1e-6))
             low[k] = begin[k] + max(min(back, now - OWN), 0)
             high[k] = begin[k] + min(ahead + 1, len(t))
-        return who, low, high
+        return rows, low, high
 
 
 class NearbyTracks:
@@ -76,15 +76,17 @@ class NearbyTracks:
             self._whole, self._spans, self._from = tracks, Spans(tracks), np.inf
         if not self._from <= first <= last <= self._until:
             self._from, self._until = first, max(last, first + SPAN_S)
-            who, low, high = self._spans.within(self._from, self._until)
+            rows, low, high = self._spans.within(self._from, self._until)
             sizes = high - low
             if sizes.sum() == len(tracks.t):
                 self._part = tracks
                 return tracks
             offsets = np.r_[0, np.cumsum(sizes)]
-            at = np.repeat(low - offsets[:-1], sizes) + np.arange(offsets[-1])
-            columns = (getattr(tracks, name)[at] for name in SAMPLE_COLUMNS)
-            self._part = TrackSamples(*heads(tracks, who), offsets, *columns, source=tracks, at=at)
+            samples = np.repeat(low - offsets[:-1], sizes) + np.arange(offsets[-1])
+            columns = (getattr(tracks, name)[samples] for name in SAMPLE_COLUMNS)
+            self._part = TrackSamples(
+                *heads(tracks, rows), offsets, *columns, source=tracks, rows=samples
+            )
         return self._part
 
 
@@ -93,18 +95,19 @@ class TrackSamples(Tracks):
     """Samples of some tracks, with the properties that depend on whole tracks."""
 
     source: Tracks = field(kw_only=True)  # the whole tracks
-    at: IntArray = field(kw_only=True)  # `(m,)` indices of the samples in `source`
+    rows: IntArray = field(kw_only=True)  # `(m,)` indices of the samples in `source`
 
     @cached_property
     def patience(self) -> FloatArray:
         """The patience of the samples in the whole tracks."""
-        return frozen(self.source.patience[self.at])
+        return frozen(self.source.patience[self.rows])
 
     @cached_property
     def motion(self) -> Motion:
         """The motion of the samples in the whole tracks."""
-        moved = self.source.motion
-        return Motion(*(column[self.at] for column in (moved.vx, moved.vy, moved.ax, moved.ay)))
+        whole = self.source.motion
+        columns = whole.vx, whole.vy, whole.ax, whole.ay
+        return Motion(*(column[self.rows] for column in columns))
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,15 +123,15 @@ class Recent(Tracks):
 
     def only(self, ids: Collection[str]) -> Tracks:
         """Return the tracks of these road users, as `Tracks.only`; `whole` is reduced as well."""
-        columns = (getattr(super(Recent, self).only(ids), each.name) for each in fields(Tracks))
+        columns = (getattr(super(Recent, self).only(ids), column.name) for column in fields(Tracks))
         return Recent(*columns, all_of_them=lambda: self.whole.only(ids))
 
 
 def heads(
-    tracks: Tracks, who: IntArray
+    tracks: Tracks, rows: IntArray
 ) -> tuple[tuple[str, ...], tuple[AgentKind, ...], FloatArray, FloatArray, BoolArray]:
-    """Return ids, kinds, lengths and widths of the tracks `who` `(k,)`, and which of them never
+    """Return ids, kinds, lengths and widths of the tracks `rows` `(k,)`, and which of them never
     move.
     """
-    ids, kinds = tuple(tracks.ids[i] for i in who), tuple(tracks.kinds[i] for i in who)
-    return ids, kinds, tracks.length[who], tracks.width[who], tracks.static[who]
+    ids, kinds = tuple(tracks.ids[i] for i in rows), tuple(tracks.kinds[i] for i in rows)
+    return ids, kinds, tracks.length[rows], tracks.width[rows], tracks.static[rows]

@@ -62,7 +62,7 @@ def patience(offsets: IntArray, static: BoolArray, t: FloatArray) -> FloatArray:
     """Return the patience (3) of each sample `(m,)`, s; `MAX_AGE_S` if the next sample follows
     within that time.
     """
-    out = np.full(len(t), MAX_AGE_S)
+    patiences = np.full(len(t), MAX_AGE_S)
     apart = np.diff(t, append=np.inf)
     apart[offsets[1:] - 1] = np.inf
     rare = np.flatnonzero((apart > MAX_AGE_S) & ~np.repeat(static, np.diff(offsets)))
@@ -70,10 +70,12 @@ def patience(offsets: IntArray, static: BoolArray, t: FloatArray) -> FloatArray:
     alone = rare[first == rare]
     if len(alone):
         times = np.unique(t[~np.repeat(static, np.diff(offsets))])
-        out[alone] = _after(times, np.zeros(len(alone), np.int64), np.searchsorted(times, t[alone]))
-    rest = first < rare
-    out[rare[rest]] = _after(t, first[rest], rare[rest])
-    return out
+        patiences[alone] = _after(
+            times, np.zeros(len(alone), np.int64), np.searchsorted(times, t[alone])
+        )
+    not_first = first < rare
+    patiences[rare[not_first]] = _after(t, first[not_first], rare[not_first])
+    return patiences
 
 
 def _after(t: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
@@ -129,12 +131,12 @@ def inferred(offsets: IntArray, static: BoolArray, t: FloatArray) -> Spans:
     first, last = np.sort(t[offsets[moving]]), np.sort(t[offsets[moving + 1] - 1])
     apart = np.diff(t)
     apart[offsets[1:-1] - 1] = np.nan
-    usual = float(np.nanmedian(apart)) if np.isfinite(apart).any() else 0.0
-    same = 0.5 * usual + _ROUNDING_S
-    ended = np.searchsorted(last, last + same) - np.searchsorted(last, last - same)
-    there = np.searchsorted(first, last + same) - np.searchsorted(last, last - same)
-    together = (ended >= TOGETHER) & (2 * ended > there) & (first[-1] <= last + same)
-    end = last[np.argmax(together)] + same if together.any() else last[-1]
+    step_s = float(np.nanmedian(apart)) if np.isfinite(apart).any() else 0.0
+    tolerance = 0.5 * step_s + _ROUNDING_S
+    ended = np.searchsorted(last, last + tolerance) - np.searchsorted(last, last - tolerance)
+    present = np.searchsorted(first, last + tolerance) - np.searchsorted(last, last - tolerance)
+    together = (ended >= TOGETHER) & (2 * ended > present) & (first[-1] <= last + tolerance)
+    end = last[np.argmax(together)] + tolerance if together.any() else last[-1]
     return ((float(first[0]), float(last[last <= end][-1])),)
 
 
@@ -151,10 +153,10 @@ def observed_until(spans: Spans, t: float) -> float:
 
 def within(spans: Spans, t: FloatArray) -> BoolArray:
     """Return which of the times `t` `(n,)` lie in a span."""
-    found = np.zeros(len(t), np.bool_)
+    is_within = np.zeros(len(t), np.bool_)
     for first, last in spans:
-        found |= (t >= first - _ROUNDING_S) & (t <= last + _ROUNDING_S)
-    return found
+        is_within |= (t >= first - _ROUNDING_S) & (t <= last + _ROUNDING_S)
+    return is_within
 
 
 def described(spans: Spans) -> str:

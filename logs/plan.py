@@ -270,12 +270,12 @@ class Plan:
         """
         if isinstance(self.internals, tuple):
             return self
-        kept = (
+        internals = (
             tuple(self.internals)
             if keep or not isinstance(self.internals, Internals)
             else self.internals.reports
         )
-        return replace(self, internals=kept)
+        return replace(self, internals=internals)
 
 
 @dataclass(frozen=True, slots=True)

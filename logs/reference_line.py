@@ -17,12 +17,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from math import atan2, floor, sqrt
+from math import atan2, floor, inf, sqrt
 
 import numpy as np
 
 from replan.core.arrays import TIE, FloatArray, arc_lengths, frozen
 from replan.core.kernel import inner_kernel, kernel
+
+X3, X2, X1, X0, Y3, Y2, Y1, Y0 = range(8)
+"""Columns of the coefficients of a spline: those of x, then of y, with the powers of s."""
+FARTHEST_M = 1e4
+"""A foot beyond the ends of a line is at most this far from them, m."""
 
 
 @inner_kernel
@@ -42,13 +47,13 @@ def line_point(
     i = min(max(int((clipped - knots[0]) / h), 0), last - 1)
     u = clipped - knots[i]
     c = coef[i]
-    x = ((c[0] * u + c[1]) * u + c[2]) * u + c[3]
-    y = ((c[4] * u + c[5]) * u + c[6]) * u + c[7]
-    dx = (3.0 * c[0] * u + 2.0 * c[1]) * u + c[2]
-    dy = (3.0 * c[4] * u + 2.0 * c[5]) * u + c[6]
+    x = ((c[X3] * u + c[X2]) * u + c[X1]) * u + c[X0]
+    y = ((c[Y3] * u + c[Y2]) * u + c[Y1]) * u + c[Y0]
+    dx = (3.0 * c[X3] * u + 2.0 * c[X2]) * u + c[X1]
+    dy = (3.0 * c[Y3] * u + 2.0 * c[Y2]) * u + c[Y1]
     if s != clipped:
         return x + (s - clipped) * dx, y + (s - clipped) * dy, dx, dy, 0.0, 0.0
-    return x, y, dx, dy, 6.0 * c[0] * u + 2.0 * c[1], 6.0 * c[4] * u + 2.0 * c[5]
+    return x, y, dx, dy, 6.0 * c[X3] * u + 2.0 * c[X2], 6.0 * c[Y3] * u + 2.0 * c[Y2]
 
 
 @kernel
@@ -62,10 +67,12 @@ def line_frame(knots: FloatArray, coef: FloatArray, s: float) -> tuple[float, fl
 @kernel
 def line_frames(knots: FloatArray, coef: FloatArray) -> FloatArray:
     """Rows x, y, yaw, kappa `(4, n)` of the line at its stations."""
-    out = np.empty((4, len(knots)))
+    frames = np.empty((4, len(knots)))
     for i in range(len(knots)):
-        out[0, i], out[1, i], out[2, i], out[3, i] = line_frame(knots, coef, knots[i])
-    return out
+        x, y, yaw, kappa = line_frame(knots, coef, knots[i])
+        frames[0, i], frames[1, i] = x, y
+        frames[2, i], frames[3, i] = yaw, kappa
+    return frames
 
 
 @inner_kernel
@@ -90,15 +97,17 @@ def line_project(
     last = len(knots) - 1
     low = max(0, min(last, int((s_guess - window - knots[0]) / h)))
     high = max(0, min(last, int((s_guess + window - knots[0]) / h) + 1))
-    best, nearest = low, 1e300
+    best, nearest = low, inf
     for i in range(low, high + 1):
-        px, py = (coef[i, 3], coef[i, 7]) if i < last else line_point(knots, coef, knots[last])[:2]
+        px, py = (
+            (coef[i, X0], coef[i, Y0]) if i < last else line_point(knots, coef, knots[last])[:2]
+        )
         square = (px - x) ** 2 + (py - y) ** 2
         if square < nearest:
             best, nearest = i, square
     s = knots[best]
-    s_low = s - h if best > 0 else s - 1e4
-    s_high = s + h if best < last else s + 1e4
+    s_low = s - (h if best > 0 else FARTHEST_M)
+    s_high = s + (h if best < last else FARTHEST_M)
     for _ in range(30):
         rx, ry, dx, dy, ddx, ddy = line_point(knots, coef, s)
         slope = (x - rx) * dx + (y - ry) * dy
@@ -125,11 +134,11 @@ def line_project_many(
 
     Each search starts at the previous point's foot.
     """
-    out = np.empty((len(x), 2))
+    feet = np.empty((len(x), 2))
     for i in range(len(x)):
-        out[i] = line_project(knots, coef, x[i], y[i], s_guess, window)
-        s_guess = out[i, 0]
-    return out
+        feet[i] = line_project(knots, coef, x[i], y[i], s_guess, window)
+        s_guess = feet[i, 0]
+    return feet
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,9 +216,7 @@ class ReferenceLine:
         The foot lies within `window` m of `near` (None: anywhere).
         """
         if near is None:
-            return line_project(
-                self.s, self.coef, float(x), float(y), 0.5 * self.length, self.length
-            )
+            near, window = 0.5 * self.length, self.length
         return line_project(self.s, self.coef, float(x), float(y), float(near), float(window))
 
     def point(self, s: float, l: float) -> tuple[float, float]:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cached_property
+from itertools import chain
 from types import MappingProxyType
 
 import numpy as np
@@ -86,6 +87,15 @@ class Lane:
         """Bounds of the outline: least x, y, greatest x, y, m."""
         return bounds(self.polygon)
 
+    @property
+    def sideways(self) -> tuple[int, ...]:
+        """The neighbours, left then right, to which the marking may be crossed."""
+        sides = (
+            (self.left_neighbour, self.left_crossable),
+            (self.right_neighbour, self.right_crossable),
+        )
+        return tuple(lane for lane, crossable in sides if lane is not None and crossable)
+
     @cached_property
     def length(self) -> float:
         """Length of the centre line, m."""
@@ -94,11 +104,11 @@ class Lane:
 
 def predecessors(lanes: Mapping[int, Lane]) -> dict[int, list[int]]:
     """Return the ids of the lanes that lead into each lane."""
-    out: dict[int, list[int]] = {}
+    leading: dict[int, list[int]] = {}
     for lane in lanes.values():
         for after in lane.successors:
-            out.setdefault(after, []).append(lane.id)
-    return out
+            leading.setdefault(after, []).append(lane.id)
+    return leading
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,8 +188,8 @@ class Road:
 
     def stated_limit(self, lane_id: int) -> float:
         """Return the speed limit that the log states for a lane, m/s; NaN if it states none."""
-        given = self.source is RoadSource.LANES and lane_id not in self.assumed_limits
-        return self.lanes[lane_id].speed_limit if given else float("nan")
+        stated = self.source is RoadSource.LANES and lane_id not in self.assumed_limits
+        return self.lanes[lane_id].speed_limit if stated else float("nan")
 
     @classmethod
     def along(
@@ -235,20 +245,14 @@ class Goal:
 
     def __post_init__(self) -> None:
         if self.alternatives:
-            anywhere = any(not one.regions for one in self.alternatives)
-            regions = (
-                ()
-                if anywhere
-                else tuple(region for one in self.alternatives for region in one.regions)
-            )
-            object.__setattr__(self, "regions", regions)
+            regions = [goal.regions for goal in self.alternatives]
+            object.__setattr__(self, "regions", tuple(chain(*regions)) if all(regions) else ())
             for name in ("t", "v", "yaw"):
-                bounds = [getattr(one, name) for one in self.alternatives]
-                hull = (
-                    None
-                    if None in bounds
-                    else (min(b[0] for b in bounds), max(b[1] for b in bounds))
-                )
+                intervals = [getattr(goal, name) for goal in self.alternatives]
+                hull = None
+                if None not in intervals:
+                    lows, highs = zip(*intervals, strict=True)
+                    hull = min(lows), max(highs)
                 object.__setattr__(self, name, hull)
         object.__setattr__(self, "regions", tuple(frozen(region) for region in self.regions))
 
@@ -266,25 +270,24 @@ class Goal:
         Goals with equal intervals are merged into one.
         """
         merged: dict[object, Goal] = {}
-        for goal in (each for given in goals for each in given.alternatives or (given,)):
-            before = merged.get(bounds := (goal.t, goal.v, goal.yaw), goal)
-            regions = (*before.regions, *goal.regions) if before.regions and goal.regions else ()
-            merged[bounds] = goal if before is goal else replace(goal, regions=regions)
-        return (
-            next(iter(merged.values()))
-            if len(merged) == 1
-            else cls(alternatives=tuple(merged.values()))
-        )
+        for goal in chain(*(goal.alternatives or (goal,) for goal in goals)):
+            intervals = goal.t, goal.v, goal.yaw
+            before = merged.get(intervals, goal)
+            if before is not goal:
+                anywhere = not (before.regions and goal.regions)
+                regions = () if anywhere else (*before.regions, *goal.regions)
+                goal = replace(goal, regions=regions)
+            merged[intervals] = goal
+        alternatives = tuple(merged.values())
+        return alternatives[0] if len(alternatives) == 1 else cls(alternatives=alternatives)
 
     def changed(self, change: Callable[[Goal], Goal]) -> Goal:
         """Return the goal with `change` applied to each alternative, or to itself if it has
         none.
         """
-        return (
-            replace(self, alternatives=tuple(map(change, self.alternatives)))
-            if self.alternatives
-            else change(self)
-        )
+        if not self.alternatives:
+            return change(self)
+        return replace(self, alternatives=tuple(map(change, self.alternatives)))
 
     def after(self, driven: float) -> Goal:
         """Return the goal for a drive that begins after `driven` m of the way."""
@@ -303,8 +306,8 @@ class Goal:
         a = np.vstack(self.regions) - (x, y)
         sides = np.vstack([np.roll(region, -1, axis=0) - region for region in self.regions])
         share = -(a * sides).sum(axis=1) / np.maximum((sides**2).sum(axis=1), TIE)
-        to = a + np.clip(share, 0.0, 1.0)[:, None] * sides
-        dx, dy = to[int(np.argmin(np.hypot(*to.T)))].tolist()
+        feet = a + np.clip(share, 0.0, 1.0)[:, None] * sides
+        dx, dy = feet[int(np.argmin(np.hypot(*feet.T)))].tolist()
         return dx, dy
 
     def reached(self, t: float, x: float, y: float, yaw: float, v: float) -> bool:
@@ -320,7 +323,7 @@ class Goal:
         Of alternatives, the fewest.
         """
         if self.alternatives:
-            return min((one.unmet(t, x, y, yaw, v) for one in self.alternatives), key=len)
+            return min((goal.unmet(t, x, y, yaw, v) for goal in self.alternatives), key=len)
         arc = np.inf if self.yaw is None else self.yaw[1] - self.yaw[0]
         turned = 0.0 if self.yaw is None else (yaw - self.yaw[0] + 1e-9) % (2.0 * np.pi)
         met = {

@@ -29,7 +29,7 @@ import numpy as np
 
 from replan.core.arrays import TIE, BoolArray, FloatArray, frozen
 from replan.core.kernel import kernel
-from replan.logs.polylines import first_nearest, inside, nearest, sampled
+from replan.logs.polylines import first_nearest, inside, nearest, points_inside, sampled
 from replan.logs.road import Goal, Lane, Road
 from replan.logs.shapes import point_segment
 from replan.logs.states import EgoState, Trajectory, wrap
@@ -93,11 +93,7 @@ def costs_to_go(road: Road, goal: Goal | None) -> dict[int, CostToGo]:
     into: dict[int, list[tuple[int, float]]] = {}
     for lane in road.lanes.values():
         onward = [(i, lane.length) for i in lane.successors]
-        beside = [
-            (lane.left_neighbour, lane.left_crossable),
-            (lane.right_neighbour, lane.right_crossable),
-        ]
-        sideways = [(i, LANE_CHANGE_M) for i, crossable in beside if i is not None and crossable]
+        sideways = [(i, LANE_CHANGE_M) for i in lane.sideways]
         for step, price in onward + sideways if lane.drivable else ():
             if step in road.lanes and road.lanes[step].drivable:
                 into.setdefault(step, []).append((lane.id, price))
@@ -123,7 +119,7 @@ def goal_lanes(road: Road, goal: Goal | None) -> frozenset[int]:
 
     If no line meets a region, the lanes at its middle.
     """
-    found: set[int] = set()
+    lanes: set[int] = set()
     for region in goal.regions if goal is not None else ():
         # Lanes whose centre line, sampled every 1 m, has a point inside the region, not on its edge
         through = [
@@ -132,8 +128,8 @@ def goal_lanes(road: Road, goal: Goal | None) -> frozenset[int]:
             if lane.drivable and _meets(sampled(lane.center), (region,))
         ]
         middle = road.lanes_at(*region.mean(axis=0))
-        found.update(through or [lane.id for lane in middle if lane.drivable])
-    return frozenset(found)
+        lanes.update(through or [lane.id for lane in middle if lane.drivable])
+    return frozenset(lanes)
 
 
 AWAY_M = 5.0
@@ -169,24 +165,16 @@ def goal_fault(road: Road, drive: Trajectory, goal: Goal, ahead: float) -> GoalF
     beside, onward = list(start_lanes(road, ego)), set[int]()
     # The list grows: lanes that are side by side with the ego's
     for lane in (road.lanes[i] for i in beside):
-        sides = (
-            (lane.left_neighbour, lane.left_crossable),
-            (lane.right_neighbour, lane.right_crossable),
-        )
-        near = [
-            i
-            for i, crossable in sides
-            if i is not None and crossable and i in road.lanes and i not in beside
-        ]
-        beside += [i for i in near if road.lanes[i].drivable]
+        reachable = [i for i in lane.sideways if i in road.lanes and i not in beside]
+        beside += [i for i in reachable if road.lanes[i].drivable]
         onward |= set(lane.successors)
     lanes = goal_lanes(road, goal)
     if onward & costs_to_go(road, goal).keys():
         return None
     for line in (sampled(road.lanes[i].center) for i in beside if i in lanes):
-        here = first_nearest(line, x, y)
-        if _meets(line[here:], regions) or any(
-            nearest(line, *region.mean(axis=0)) > here for region in regions
+        ego_point = first_nearest(line, x, y)
+        if _meets(line[ego_point:], regions) or any(
+            nearest(line, *region.mean(axis=0)) > ego_point for region in regions
         ):
             return None
     corners = np.vstack(regions) - (ego.x, ego.y)
@@ -208,27 +196,25 @@ def visits(goal: Goal, drive: Trajectory, ahead: float) -> list[Stay]:
     Two stays in a region are one if the drive is never `AWAY_M` away between them.
     """
     x, y = drive.x + ahead * np.cos(drive.yaw), drive.y + ahead * np.sin(drive.yaw)
-    found = list[Stay]()
+    stays = list[Stay]()
     for i, region in enumerate(goal.regions):
-        (left, low), (right, high) = region.min(axis=0), region.max(axis=0)
-        near = np.flatnonzero((x >= left) & (x <= right) & (y >= low) & (y <= high)).tolist()
-        within = [k for k in near if inside(float(x[k]), float(y[k]), region)]
-        gone = [np.hypot(x[a:b] - x[a], y[a:b] - y[a]).max() >= AWAY_M for a, b in pairwise(within)]
-        cuts = [0, *(k + 1 for k, away in enumerate(gone) if away), len(within)]
-        stays = (within[a:b] for a, b in pairwise(cuts) if b > a)
-        states = [drive.t, x, y, drive.yaw, drive.v]
-        found += [
-            (stay[0], stay[-1], frozenset({i}))
-            for stay in stays
-            if any(goal.reached(*(float(column[k]) for column in states)) for k in stay)
+        within = np.flatnonzero(points_inside(region, x, y)).tolist()
+        was_away = [
+            np.hypot(x[a:b] - x[a], y[a:b] - y[a]).max() >= AWAY_M for a, b in pairwise(within)
         ]
-    joined = list[Stay]()
-    for first, last, held in sorted(found, key=lambda stay: stay[:2]):
-        if joined and first <= joined[-1][1] + 1:
-            joined[-1] = joined[-1][0], max(last, joined[-1][1]), joined[-1][2] | held
+        cuts = [0, *(k + 1 for k, away in enumerate(was_away) if away), len(within)]
+        states = [drive.t, x, y, drive.yaw, drive.v]
+        for begin, end in pairwise(cuts):
+            samples = within[begin:end]
+            if any(goal.reached(*(float(column[k]) for column in states)) for k in samples):
+                stays.append((samples[0], samples[-1], frozenset({i})))
+    merged = list[Stay]()
+    for first, last, held in sorted(stays, key=lambda stay: stay[:2]):
+        if merged and first <= merged[-1][1] + 1:
+            merged[-1] = merged[-1][0], max(last, merged[-1][1]), merged[-1][2] | held
         else:
-            joined.append((first, last, held))
-    return joined
+            merged.append((first, last, held))
+    return merged
 
 
 def counting_stay(goal: Goal, drive: Trajectory, ahead: float) -> tuple[int, int] | None:
@@ -241,8 +227,8 @@ def counting_stay(goal: Goal, drive: Trajectory, ahead: float) -> tuple[int, int
     stays = visits(goal, drive, ahead)
     again = [
         k
-        for k, (_, _, here) in enumerate(stays)
-        if any(here & before for _, _, before in stays[:k])
+        for k, (_, _, regions) in enumerate(stays)
+        if any(regions & earlier for _, _, earlier in stays[:k])
     ]
     begins = [1] if len(stays) > 1 and stays[0][0] == 0 else []
     k = max((*again, *begins), default=0)
@@ -323,7 +309,7 @@ def on_lane(lane: Lane, x: FloatArray, y: FloatArray, yaw: FloatArray) -> BoolAr
 def _on_lane(
     center: FloatArray, polygon: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray
 ) -> BoolArray:
-    out = np.zeros(len(x), np.bool_)
+    is_on = np.zeros(len(x), np.bool_)
     low_x, high_x = polygon[:, 0].min(), polygon[:, 0].max()
     low_y, high_y = polygon[:, 1].min(), polygon[:, 1].max()
     for k in range(len(x)):
@@ -333,15 +319,10 @@ def _on_lane(
             continue
         nearest, heading = inf, 0.0
         for i in range(len(center) - 1):
-            middle_x, middle_y = (
-                0.5 * (center[i + 1, 0] + center[i, 0]),
-                0.5 * (center[i + 1, 1] + center[i, 1]),
-            )
-            away = hypot(middle_x - x[k], middle_y - y[k])
-            if away < nearest:
-                nearest, heading = (
-                    away,
-                    atan2(center[i + 1, 1] - center[i, 1], center[i + 1, 0] - center[i, 0]),
-                )
-        out[k] = abs(wrap(yaw[k] - heading)) < ASKEW_RAD
-    return out
+            ax, ay = center[i, 0], center[i, 1]
+            bx, by = center[i + 1, 0], center[i + 1, 1]
+            distance = hypot(0.5 * (bx + ax) - x[k], 0.5 * (by + ay) - y[k])
+            if distance < nearest:
+                nearest, heading = distance, atan2(by - ay, bx - ax)
+        is_on[k] = abs(wrap(yaw[k] - heading)) < ASKEW_RAD
+    return is_on

@@ -131,11 +131,10 @@ class Scenario:
         if len({light.id for light in self.lights}) < len(self.lights):
             raise ValueError("two traffic lights have the same id")
         if not all(-np.inf < first <= last < np.inf for first, last in self.traffic or ()):
-            what = (
+            raise ValueError(
                 f"traffic was observed in {self.traffic}: each span needs a finite begin and "
                 "end, in order"
             )
-            raise ValueError(what)
 
     def in_vehicle(self, vehicle: VehicleParameters) -> Scenario:
         """Replace the ego vehicle.
@@ -167,8 +166,8 @@ class Scenario:
             return self.traffic
         if self.tracks.static.all() and (len(self.tracks) or not self.is_recorded):
             return ((0.0, self.duration),)
-        found = inferred(self.tracks.offsets, self.tracks.static, self.tracks.t)
-        return tuple(span for span in found if span[1] >= 0.0 and span[0] <= self.duration)
+        spans = inferred(self.tracks.offsets, self.tracks.static, self.tracks.t)
+        return tuple(span for span in spans if span[1] >= 0.0 and span[0] <= self.duration)
 
     @property
     def family(self) -> str:

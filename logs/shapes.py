@@ -34,14 +34,14 @@ PIECE_S = 0.1
 @kernel
 def corners(x: float, y: float, yaw: float, length: float, width: float) -> FloatArray:
     """The corners `(4, 2)` of a box, in m."""
-    out = np.empty((4, 2))
+    points = np.empty((4, 2))
     c, s = cos(yaw), sin(yaw)
     for i in range(4):
         along = 0.5 * length if i in (0, 3) else -0.5 * length
         left = 0.5 * width if i in (0, 1) else -0.5 * width
-        out[i, 0] = x + along * c - left * s
-        out[i, 1] = y + along * s + left * c
-    return out
+        points[i, 0] = x + along * c - left * s
+        points[i, 1] = y + along * s + left * c
+    return points
 
 
 @inner_kernel
@@ -162,20 +162,22 @@ def distance(
     """Smallest distance between two boxes, m; 0 where they overlap."""
     if overlap(x1, y1, yaw1, length1, width1, x2, y2, yaw2, length2, width2):
         return 0.0
-    one, two = corners(x1, y1, yaw1, length1, width1), corners(x2, y2, yaw2, length2, width2)
-    best = inf
+    first = corners(x1, y1, yaw1, length1, width1)
+    second = corners(x2, y2, yaw2, length2, width2)
+    return min(_corner_distance(first, second), _corner_distance(second, first))
+
+
+@inner_kernel
+def _corner_distance(box: FloatArray, other: FloatArray) -> float:
+    """Return the smallest distance of a box's corners `(4, 2)` from another box's sides, m."""
+    nearest = inf
     for i in range(4):
+        x, y = box[i, 0], box[i, 1]
         for j in range(4):
-            k = (j + 1) % 4
-            best = min(
-                best,
-                point_segment(one[i, 0], one[i, 1], two[j, 0], two[j, 1], two[k, 0], two[k, 1]),
-            )
-            best = min(
-                best,
-                point_segment(two[i, 0], two[i, 1], one[j, 0], one[j, 1], one[k, 0], one[k, 1]),
-            )
-    return best
+            ax, ay = other[j - 1, 0], other[j - 1, 1]
+            bx, by = other[j, 0], other[j, 1]
+            nearest = min(nearest, point_segment(x, y, ax, ay, bx, by))
+    return nearest
 
 
 @kernel
@@ -260,29 +262,32 @@ def time_to_contact_turning(
     vx2: float,
     vy2: float,
     w2: float,
-    lasts: float,
+    turning_s: float,
 ) -> float:
-    """Time until two boxes touch that turn at the rates w1 and w2 for `lasts` s, then go on as in
-    (2) (3), s; or inf.
+    """Time until two boxes touch that turn at the rates w1 and w2 for `turning_s`, then go on as
+    in (2) (3), s; or inf.
 
-    `lasts` is a multiple of `PIECE_S`.
+    `turning_s` is a multiple of `PIECE_S`.
     """
-    if lasts == 0.0 or (w1 == 0.0 and w2 == 0.0):
+    if turning_s == 0.0 or (w1 == 0.0 and w2 == 0.0):
         return time_to_contact(
             x1, y1, yaw1, length1, width1, x2, y2, yaw2, length2, width2, vx2 - vx1, vy2 - vy1
         )
-    dx, dy, pieces = x2 - x1, y2 - y1, round(lasts / PIECE_S)
+    dx, dy, pieces = x2 - x1, y2 - y1, round(turning_s / PIECE_S)
     for i in range(pieces + 1):
-        middle, span = (
-            (i + 0.5) * PIECE_S if i < pieces else pieces * PIECE_S,
-            PIECE_S if i < pieces else inf,
-        )
-        half1, half2 = (0.5 * w1 * PIECE_S, 0.5 * w2 * PIECE_S) if i < pieces else (0.0, 0.0)
-        short1, short2 = sin(half1) / half1 if half1 else 1.0, sin(half2) / half2 if half2 else 1.0
-        c1, s1, c2, s2 = cos(w1 * middle), sin(w1 * middle), cos(w2 * middle), sin(w2 * middle)
+        if i < pieces:
+            middle, span = (i + 0.5) * PIECE_S, PIECE_S
+            half1, half2 = 0.5 * w1 * PIECE_S, 0.5 * w2 * PIECE_S
+        else:
+            middle, span = pieces * PIECE_S, inf
+            half1, half2 = 0.0, 0.0
+        short1 = sin(half1) / half1 if half1 else 1.0
+        short2 = sin(half2) / half2 if half2 else 1.0
+        c1, s1 = cos(w1 * middle), sin(w1 * middle)
+        c2, s2 = cos(w2 * middle), sin(w2 * middle)
         dvx = short2 * (vx2 * c2 - vy2 * s2) - short1 * (vx1 * c1 - vy1 * s1)
         dvy = short2 * (vx2 * s2 + vy2 * c2) - short1 * (vx1 * s1 + vy1 * c1)
-        found = time_to_contact(
+        time = time_to_contact(
             0.0,
             0.0,
             yaw1 + w1 * middle,
@@ -296,7 +301,7 @@ def time_to_contact_turning(
             dvx,
             dvy,
         )
-        if found <= span:
-            return i * PIECE_S + found
+        if time <= span:
+            return i * PIECE_S + time
         dx, dy = dx + PIECE_S * dvx, dy + PIECE_S * dvy
     return inf

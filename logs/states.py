@@ -116,9 +116,9 @@ class Trajectory:
         Raises:
             ValueError: A value is not finite, or time does not increase.
         """
-        made = object.__new__(cls)
-        made._keep(rows)
-        return made
+        trajectory = object.__new__(cls)
+        trajectory._keep(rows)
+        return trajectory
 
     def _keep(self, rows: FloatArray) -> None:
         """Check the rows `(7, n)` and store a copy of them."""

@@ -53,7 +53,7 @@ class LogSummary:
 
     def lines(self) -> list[str]:
         """Return the summary as lines of text."""
-        out = [f"{self.path.name}: {self.profile}, {self.size_bytes / 1024:.0f} KiB"]
+        lines = [f"{self.path.name}: {self.profile}, {self.size_bytes / 1024:.0f} KiB"]
         for topic in self.topics:
             line = (
                 f"  {topic.topic}: {topic.messages} x {topic.schema or 'no schema'} "
@@ -61,15 +61,15 @@ class LogSummary:
             )
             if topic.first_ns is not None and topic.last_ns is not None:
                 line += f", {topic.first_ns / 1e9:.3f} to {topic.last_ns / 1e9:.3f} s"
-            out.append(line)
+            lines.append(line)
         if self.scenario is not None:
-            out += _describe_facts(self.scenario)
-        out += [
+            lines += _describe_facts(self.scenario)
+        lines += [
             f"{'yes' if e.possible else 'no ':3}  {e.name}: {e.reason}" for e in self.evaluations
         ]
         if self.error is not None:
-            out.append(f"error: {self.error}")
-        return out
+            lines.append(f"error: {self.error}")
+        return lines
 
 
 def summarise(path: Path, settings: LogSettings | None = None) -> LogSummary:
@@ -250,12 +250,14 @@ def evaluations(scenario: Scenario, *, has_vehicle: bool) -> tuple[Evaluation, .
     )
     goal = scenario.goal
     fault = goal and goal_fault(road, ego, goal, scenario.vehicle.axle_to_center)
-    named = "no goal" if goal is None else fault.value if fault else "named in the log"
+    goal_text = "no goal" if goal is None else "named in the log"
+    if fault:
+        goal_text = fault.value
     return (
         Evaluation("open loop against the driven ego", len(ego) > 1 and part is not None, compared),
         Evaluation("closed loop", scenario.duration > 0.0 and part is not None, lasting),
         Evaluation("collisions, gaps, time to collision", len(tracks) > 0 and met, others),
-        Evaluation("goal reached", goal is not None and fault is None, named),
+        Evaluation("goal reached", goal is not None and fault is None, goal_text),
         Evaluation("off road, lane keeping", lanes, road.source.value),
         Evaluation(
             "speed limits", lanes and unlimited < len(road.lanes), limits if lanes else "no lanes"

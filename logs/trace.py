@@ -70,10 +70,20 @@ class PlannedFrame:
         """Make the record of a frame from the plan as kept (`Plan.recorded`) and the frame's kept
         part.
         """
-        some, kept = frame.predictions, kept_samples(frame.predictions.t)
+        predicted, samples = frame.predictions, kept_samples(frame.predictions.t)
         # Frozen once for all
-        x, y, yaw = frozen(np.array([some.x[:, kept], some.y[:, kept], some.yaw[:, kept]]))
-        thinned = type(some)(some.t[kept], some.agent, some.probability, x, y, yaw, some.method)
+        x, y, yaw = frozen(
+            np.array([predicted.x[:, samples], predicted.y[:, samples], predicted.yaw[:, samples]])
+        )
+        thinned = type(predicted)(
+            predicted.t[samples],
+            predicted.agent,
+            predicted.probability,
+            x,
+            y,
+            yaw,
+            predicted.method,
+        )
         return cls(frame.t, plan, frame.agents.ids, thinned, frame.visibility)
 
 

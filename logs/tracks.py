@@ -36,17 +36,17 @@ _NOT_ASKED = frozen(np.empty(0))
 @kernel
 def _last_samples(offsets: IntArray, t: FloatArray, time: float) -> IntArray:
     """Return per track the index of its last sample not later than `time`; -1 if there is none."""
-    out = np.empty(len(offsets) - 1, np.int64)
-    for i in range(len(out)):
+    samples = np.empty(len(offsets) - 1, np.int64)
+    for i in range(len(samples)):
         k = np.searchsorted(t[offsets[i] : offsets[i + 1]], time + 1e-9, side="right")
-        out[i] = offsets[i] + k - 1 if k > 0 else -1
-    return out
+        samples[i] = offsets[i] + k - 1 if k > 0 else -1
+    return samples
 
 
 @kernel
 def _trends(
-    seen: IntArray,
-    at: IntArray,
+    rows: IntArray,
+    samples: IntArray,
     offsets: IntArray,
     t: FloatArray,
     yaw: FloatArray,
@@ -56,13 +56,15 @@ def _trends(
     vy: FloatArray,
     speed: FloatArray,
 ) -> FloatArray:
-    """`_trend` of tracks `seen` at samples `at`, `(2, n)`; `speed` `(n,)` is the speed at those
+    """`_trend` of tracks `rows` at `samples`, `(2, n)`; `speed` `(n,)` is the speed at those
     samples.
     """
-    out = np.empty((2, len(seen)))
-    for i in range(len(seen)):
-        out[0, i], out[1, i] = _trend(offsets[seen[i]], at[i], t, yaw, x, y, vx, vy, speed[i])
-    return out
+    trends = np.empty((2, len(rows)))
+    for i in range(len(rows)):
+        trends[0, i], trends[1, i] = _trend(
+            offsets[rows[i]], samples[i], t, yaw, x, y, vx, vy, speed[i]
+        )
+    return trends
 
 
 @inner_kernel
@@ -117,40 +119,44 @@ def _perceived_rows(
     `patience` `(m,)` may be empty: it is needed only if an agent's last sample is older than
     `MAX_AGE_S`.
     """
-    seen, out = np.empty(len(static), np.int64), np.empty((12, len(static)))
+    seen, rows = np.empty(len(static), np.int64), np.empty((12, len(static)))
     count, lacking = 0, False
     for i in range(len(static)):
         first = offsets[i]
-        at = first + np.searchsorted(t[first : offsets[i + 1]], time + 1e-9, side="right") - 1
-        age = 0.0 if static[i] else time - t[max(at, first)]
+        last = first + np.searchsorted(t[first : offsets[i + 1]], time + 1e-9, side="right") - 1
+        age = 0.0 if static[i] else time - t[max(last, first)]
         if not static[i]:
             old = age > MAX_AGE_S and age <= MAX_GAP_S
-            lacking = lacking or (at >= first and old and not len(patience))
-            if at < first or age > (patience[at] if old and len(patience) else MAX_AGE_S):
+            lacking = lacking or (last >= first and old and not len(patience))
+            if last < first or age > (patience[last] if old and len(patience) else MAX_AGE_S):
                 continue
-        at = max(at, first)
-        mx, my, before = vx[at], vy[at], max(at - 1, first)
-        span = t[at] - t[before]
+        last = max(last, first)
+        mx, my, before = vx[last], vy[last], max(last - 1, first)
+        span = t[last] - t[before]
         if not np.isfinite(mx):
-            mx = (x[at] - x[before]) / span if span > 0.0 else 0.0
+            mx = (x[last] - x[before]) / span if span > 0.0 else 0.0
         if not np.isfinite(my):
-            my = (y[at] - y[before]) / span if span > 0.0 else 0.0
+            my = (y[last] - y[before]) / span if span > 0.0 else 0.0
         if static[i]:
             mx, my = 0.0 * mx, 0.0 * my
-        rate, accel = _trend(first, at, t, yaw, x, y, vx, vy, np.hypot(mx, my))
+        rate, accel = _trend(first, last, t, yaw, x, y, vx, vy, np.hypot(mx, my))
         seen[count] = i
-        out[0, count], out[1, count] = size[0][i], size[1][i]
-        out[2, count], out[3, count], out[4, count] = x[at] + age * mx, y[at] + age * my, yaw[at]
-        out[5, count], out[6, count] = mx, my
-        out[7, count] = rate if turns[i] else 0.0 * rate
-        out[8, count] = 0.0 if static[i] else accel
-        out[9, count] = min(time - t[first], OLDEST_S)
-        if static[i] or (out[9, count] < OLDEST_S and t[first] <= BEGIN_S + 1e-9):
-            out[9, count] = np.nan
-        out[10, count] = np.nan if static[i] else max(age, 0.0)
-        out[11, count] = np.nan
+        rows[0, count], rows[1, count] = size[0][i], size[1][i]
+        rows[2, count], rows[3, count], rows[4, count] = (
+            x[last] + age * mx,
+            y[last] + age * my,
+            yaw[last],
+        )
+        rows[5, count], rows[6, count] = mx, my
+        rows[7, count] = rate if turns[i] else 0.0 * rate
+        rows[8, count] = 0.0 if static[i] else accel
+        rows[9, count] = min(time - t[first], OLDEST_S)
+        if static[i] or (rows[9, count] < OLDEST_S and t[first] <= BEGIN_S + 1e-9):
+            rows[9, count] = np.nan
+        rows[10, count] = np.nan if static[i] else max(age, 0.0)
+        rows[11, count] = np.nan
         count += 1
-    return seen[:count], out[:, :count], lacking
+    return seen[:count], rows[:, :count], lacking
 
 
 def _continuous(yaw: FloatArray, offsets: IntArray) -> FloatArray:
@@ -316,9 +322,9 @@ class Tracks:
         """Whether a gap lies between a sample and the next one of its track `(m,)`; False for the
         last.
         """
-        found = np.diff(self.t, append=np.inf) > self.patience + 1e-9
-        found[self.offsets[1:] - 1] = False
-        return frozen(found, np.bool_)
+        has_gap = np.diff(self.t, append=np.inf) > self.patience + 1e-9
+        has_gap[self.offsets[1:] - 1] = False
+        return frozen(has_gap, np.bool_)
 
     @cached_property
     def motion(self) -> Motion:
@@ -373,20 +379,24 @@ class Tracks:
         """
         seen, before = self._present_at(time)
         last = self.offsets[1:] - 1
-        at = np.where(self.static[seen], self.offsets[seen], before[seen])
-        after = np.where(self.static[seen] | self.gap_after[at], at, np.minimum(at + 1, last[seen]))
-        span = self.t[after] - self.t[at]
+        sample = np.where(self.static[seen], self.offsets[seen], before[seen])
+        after = np.where(
+            self.static[seen] | self.gap_after[sample], sample, np.minimum(sample + 1, last[seen])
+        )
+        span = self.t[after] - self.t[sample]
         u = np.clip(
-            np.divide(time - self.t[at], span, out=np.zeros(len(at)), where=span > 0.0), 0.0, 1.0
+            np.divide(time - self.t[sample], span, out=np.zeros(len(sample)), where=span > 0.0),
+            0.0,
+            1.0,
         )
         moved = self.motion
         columns = (self.x, self.y, self.yaw, moved.vx, moved.vy, moved.accel)
         x, y, yaw, vx, vy, accel = (
-            values[at] + u * (values[after] - values[at]) for values in columns
+            values[sample] + u * (values[after] - values[sample]) for values in columns
         )
         speed = np.hypot(vx, vy)
         trends = _trends(
-            seen, at, self.offsets, self.t, self.yaw, self.x, self.y, self.vx, self.vy, speed
+            seen, sample, self.offsets, self.t, self.yaw, self.x, self.y, self.vx, self.vy, speed
         )
         return Agents(
             tuple(self.ids[i] for i in seen),
@@ -417,16 +427,17 @@ class Tracks:
             self.static | ((before >= 0) & (self.t[last] >= time - 1e-9) & ~gone)
         ), before
 
-    def velocity(self, seen: IntArray, at: IntArray) -> tuple[FloatArray, FloatArray]:
+    def velocity(self, seen: IntArray, samples: IntArray) -> tuple[FloatArray, FloatArray]:
         """Return vx and vy `(k,)` of the tracks `seen` at their samples `at`: logged, else backward
         differences.
         """
-        before = np.maximum(at - 1, self.offsets[seen])
-        span = self.t[at] - self.t[before]
-        found = []
-        for values, logged in ((self.x, self.vx[at]), (self.y, self.vy[at])):
-            step = np.divide(
-                values[at] - values[before], span, out=np.zeros(len(at)), where=span > 0.0
-            )
-            found.append(np.where(np.isfinite(logged), logged, step) * ~self.static[seen])
-        return found[0], found[1]
+        before = np.maximum(samples - 1, self.offsets[seen])
+        span = self.t[samples] - self.t[before]
+        velocities = []
+        for values, logged in ((self.x, self.vx[samples]), (self.y, self.vy[samples])):
+            moved = values[samples] - values[before]
+            derived = np.divide(moved, span, out=np.zeros(len(samples)), where=span > 0.0)
+            known = np.where(np.isfinite(logged), logged, derived)
+            velocities.append(known * ~self.static[seen])
+        vx, vy = velocities
+        return vx, vy

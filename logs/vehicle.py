@@ -243,7 +243,7 @@ def assumed_car(sizes: Mapping[str, float], notes: list[str]) -> VehicleParamete
             "assumed."
         )
         overhang = min(scale * usual.rear_overhang, length - wheelbase)
-    found: dict[str, Any] = {
+    values: dict[str, Any] = {
         "length": length,
         "width": sizes.get("width", usual.width),
         "wheelbase": wheelbase,
@@ -252,20 +252,19 @@ def assumed_car(sizes: Mapping[str, float], notes: list[str]) -> VehicleParamete
     }
     if not kind.vehicle:
         notes.append("Masses, tyres and limits of the ego's vehicle are those of the default car.")
-        return replace(usual, **found)
-    weight = scale * found["width"] / usual.width
-    for name in ("mass", "cornering_front", "cornering_rear", "motor_torque", "motor_overrun"):
-        value = getattr(usual, name)
-        found[name] = (
-            tuple(weight * each for each in value) if isinstance(value, tuple) else weight * value
-        )
-    found["yaw_inertia"] = weight * scale**2 * usual.yaw_inertia
+        return replace(usual, **values)
+    weight = scale * values["width"] / usual.width
+    for name in ("mass", "cornering_front", "cornering_rear"):
+        values[name] = weight * getattr(usual, name)
+    for name in ("motor_torque", "motor_overrun"):
+        values[name] = tuple(weight * number for number in getattr(usual, name))
+    values["yaw_inertia"] = weight * scale**2 * usual.yaw_inertia
     notes.append(
         f"The ego's vehicle, {length:.2f} m long, is taken for {kind.word}: wheelbase "
-        f"{wheelbase:.2f} m, rear overhang {overhang:.2f} m, mass {found['mass']:.0f} kg, tyres "
+        f"{wheelbase:.2f} m, rear overhang {overhang:.2f} m, mass {values['mass']:.0f} kg, tyres "
         "and drive in proportion where they are not stated (--car or [vehicle] states others)."
     )
-    return replace(usual, **found)
+    return replace(usual, **values)
 
 
 def vehicle_names() -> tuple[str, ...]:

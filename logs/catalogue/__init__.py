@@ -47,12 +47,12 @@ CATALOGUE: dict[str, Family] = {
         *everyday.FAMILIES,
         *everyday.RULES,
         *pedestrians.FAMILIES,
-        raw.CROSSING,
+        raw.crossing,
     )
 }
 """The families without published grids by name, in the order of lists."""
-_ALIKE = ("turns_back", "hesitates", "group", "both_sides")
-BUILTIN = tuple(name for name in CATALOGUE if name not in {f"pedestrian/{one}" for one in _ALIKE})
+_ALIKE = {f"pedestrian/{name}" for name in ("turns_back", "hesitates", "group", "both_sides")}
+BUILTIN = tuple(name for name in CATALOGUE if name not in _ALIKE)
 """The logs of the built-in suite.
 
 What fails with the pedestrians that are left out fails with the others, too.
@@ -96,14 +96,14 @@ def families() -> dict[str, Family]:
     """The built-in families and those of other distributions; ConfigError if an entry point has
     another name.
     """
-    found = FAMILY.installed()
-    for name, family in found.items():
+    known = FAMILY.installed()
+    for name, family in known.items():
         if family.name != name:
             raise ConfigError(
                 f"the entry point of the family '{family.name}' is called '{name}'; give them one "
                 "name"
             )
-    return FAMILIES | found
+    return FAMILIES | known
 
 
 def scenario(name: str) -> Scenario:
@@ -130,15 +130,15 @@ def numbers(words: Iterable[str], where: str) -> dict[str, float]:
     """Parameters from "key=value" words; ConfigError if a word has no `=`, or its value is not a
     number.
     """
-    out = {}
+    parameters = {}
     for word in words:
         key, separator, value = word.partition("=")
         try:
-            out[key.strip()] = float(value)
+            parameters[key.strip()] = float(value)
         except ValueError:
             hint = f"'{value}' is no number" if separator else "there is no '='"
             raise ConfigError(f"{where}: write {word} as parameter=number; {hint}") from None
-    return out
+    return parameters
 
 
 def suite(name: str, seed: int = SEED) -> tuple[str, ...]:
@@ -163,16 +163,16 @@ def suite(name: str, seed: int = SEED) -> tuple[str, ...]:
 
 def groups() -> dict[str, list[Family]]:
     """The families by group."""
-    found: dict[str, list[Family]] = {}
+    by_group: dict[str, list[Family]] = {}
     for name, family in FAMILIES.items():
-        found.setdefault(name.partition("/")[0], []).append(family)
-    return found
+        by_group.setdefault(name.partition("/")[0], []).append(family)
+    return by_group
 
 
 def ordered(seed: int = SEED) -> Iterator[str]:
     """All cells of all families in the order of the module docstring, as names."""
     turns = zip_longest(
-        *(sorted(group, key=lambda one: _draw(seed, one.name)) for group in groups().values())
+        *(sorted(group, key=lambda family: _draw(seed, family.name)) for group in groups().values())
     )
     in_turn = [family for family in chain.from_iterable(turns) if family is not None]
 

@@ -80,12 +80,12 @@ def sight(tracks: Tracks, ego: Trajectory) -> Sight:
             dy * np.cos(own.yaw) - dx * np.sin(own.yaw),
         )
         near = np.flatnonzero((np.abs(ahead) <= AHEAD_M) & (np.abs(aside) <= ASIDE_M))
-        who = np.array([place[agents.ids[i]] for i in near], np.int64)
+        agent_rows = np.array([place[agents.ids[i]] for i in near], np.int64)
         boxes = np.column_stack([agents.x, agents.y, agents.yaw, agents.length, agents.width])[near]
         hidden = _hidden(own.x, own.y, boxes, _VEHICLES[agents.codes[near]])
         columns = (
             np.full(len(near), k),
-            who,
+            agent_rows,
             boxes[:, :3],
             agents.vx[near],
             agents.vy[near],
@@ -103,19 +103,17 @@ def _hidden(x: float, y: float, boxes: FloatArray, opaque: BoolArray) -> BoolArr
     """Whether an opaque box crosses the line from (x, y) to the centre of each of the boxes
     `(k, 5)`.
     """
-    out = np.zeros(len(boxes), np.bool_)
+    hidden = np.zeros(len(boxes), np.bool_)
     for i in range(len(boxes)):
         dx, dy = boxes[i, 0] - x, boxes[i, 1] - y
-        far = hypot(dx, dy)
+        far, angle = hypot(dx, dy), atan2(dy, dx)
+        middle_x, middle_y = 0.5 * (boxes[i, 0] + x), 0.5 * (boxes[i, 1] + y)
         for j in range(len(boxes)):
-            b = boxes[j]
-            if j != i and opaque[j] and hypot(b[0] - x, b[1] - y) < far:
-                line = 0.5 * (boxes[i, 0] + x), 0.5 * (boxes[i, 1] + y)
-                crossed = overlap(
-                    line[0], line[1], atan2(dy, dx), far, 0.1, b[0], b[1], b[2], b[3], b[4]
-                )
-                out[i] = out[i] or crossed
-    return out
+            bx, by, yaw, length, width = boxes[j]
+            if j != i and opaque[j] and hypot(bx - x, by - y) < far:
+                crossed = overlap(middle_x, middle_y, angle, far, 0.1, bx, by, yaw, length, width)
+                hidden[i] = hidden[i] or crossed
+    return hidden
 
 
 def detected(tracks: Tracks, ego: Trajectory, seed: int) -> Detections:
@@ -140,8 +138,8 @@ def detected(tracks: Tracks, ego: Trajectory, seed: int) -> Detections:
     # ghosts, for seconds
     for first in rng.integers(0, count, rng.poisson(STEP_S * count / GHOST_EVERY_S)).tolist():
         last = min(first + round(rng.uniform(*GHOST_S) / STEP_S), count)
-        there = first + np.flatnonzero(rng.random(last - first) < GHOST_SEEN)
-        false.append(_nothing(there, seen.frames, ego, 0.35, rng))
+        frames = first + np.flatnonzero(rng.random(last - first) < GHOST_SEEN)
+        false.append(_nothing(frames, seen.frames, ego, 0.35, rng))
     rows = rng.permutation(np.vstack([boxes, twins, *false]))
     rows = rows[np.argsort(rows[:, 0], kind="stable")]
     frame, codes = rows[:, 0].astype(np.int64), rows[:, 1].astype(np.int64)

@@ -94,7 +94,7 @@ def _head_on(p: Mapping[str, float], target: Target) -> Scenario:
     t, half = grid(p["duration_s"]), 0.5 * target.size[0]
     meet = START_M + car.axle_to_front + v * TTC_S
     x = meet + half + u * (TTC_S - t)
-    other = moving(target.id, target.kind, target.size, t, x, np.zeros(len(t)), yaw=pi)
+    other = moving(target.id, target.kind, target.size, t, x, 0.0, yaw=pi)
 
     def ahead(time: float, s: float) -> Ahead | None:
         gap = float(np.interp(time, t, x)) - half - (s + car.axle_to_front)
@@ -112,21 +112,17 @@ def _at_junction(p: Mapping[str, float], target: Target, *, turn: float) -> Scen
     If the ego turns left, the target comes towards it; else it is on the main road, from right or
     left (`from_left`).
     """
-    v, u, car, t = (
-        p["ego_kmh"] * KMH,
-        p["target_kmh"] * KMH,
-        VehicleParameters(),
-        grid(p["duration_s"]),
-    )
+    v, u = p["ego_kmh"] * KMH, p["target_kmh"] * KMH
+    car, t = VehicleParameters(), grid(p["duration_s"])
     reach = max(u, v) * (p["duration_s"] + SPARE_S) + BEYOND_M
     place = junction(START_M + v * TTC_S + 30.0, reach, reach, turn=turn, speed_limit=v)
     if turn:
         stations = np.linspace(place.begin, place.end, 200)
         turned_x, turned_y, _, _ = place.path.at(stations)
-        cross, at = (
+        cross, cross_x = (
             float(np.interp(LANE_WIDTH_M, turned_y, column)) for column in (stations, turned_x)
         )
-        x, y, yaw = at + u * (TTC_S - t), np.full(len(t), LANE_WIDTH_M), pi
+        x, y, yaw = cross_x + u * (TTC_S - t), np.full(len(t), LANE_WIDTH_M), pi
     else:
         side = 1.0 if p["from_left"] > 0.0 else -1.0
         cross = place.center[0] - side * HALF_LANE
@@ -139,6 +135,14 @@ def _at_junction(p: Mapping[str, float], target: Target, *, turn: float) -> Scen
     return tested(
         p, place.path, place.road, [other], {target.id: WAITS}, ahead, beyond=beyond, start=start
     )
+
+
+def _is_faster(p: Mapping[str, float]) -> bool:
+    return p["ego_kmh"] > p["target_kmh"]
+
+
+def _is_as_fast(p: Mapping[str, float]) -> bool:
+    return p["ego_kmh"] == p["target_kmh"]
 
 
 ALONG: Mapping[str, float] = {
@@ -290,7 +294,7 @@ def _cars(year: str) -> tuple[Family, ...]:
             build=_ahead,
             defaults=AHEAD,
             grid={**slower, **overlap},
-            holds=lambda p: p["ego_kmh"] > p["target_kmh"],
+            holds=_is_faster,
         ),
         own(
             "ccrb",
@@ -353,7 +357,7 @@ CCFHOS_2023 = _family(
     partial(_head_on, target=CAR_TARGET),
     MEETING,
     {"ego_kmh": (50.0, 70.0), "target_kmh": (50.0, 70.0)},
-    lambda p: p["ego_kmh"] == p["target_kmh"],
+    _is_as_fast,
 )
 CCFHOS_2026 = _family(
     "ccfhos",

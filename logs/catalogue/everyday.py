@@ -48,7 +48,9 @@ from replan.logs.catalogue.roads import (
     curve,
     junction,
     lane_beside,
+    left_turn,
     one_lane,
+    opposite,
     two_lanes,
     two_way,
     weaving,
@@ -82,8 +84,8 @@ VAN = (6.0, 2.0)  # Length and width, m
     },
 )
 def follow(p: Mapping[str, float]) -> Scenario:
-    v, duration, thw, car = p["ego_speed_mps"], p["duration_s"], p["headway_s"], VehicleParameters()
-    t = grid(duration)
+    v, duration, thw = p["ego_speed_mps"], p["duration_s"], p["headway_s"]
+    t, car = grid(duration), VehicleParameters()
     ramp = p["lead_change_mps"] / p["lead_accel_mps2"]
     corners = np.cumsum([p["hold_s"], ramp, p["hold_s"], ramp])
     speed = np.interp(t, corners, [v, v - p["lead_change_mps"], v - p["lead_change_mps"], v])
@@ -91,7 +93,7 @@ def follow(p: Mapping[str, float]) -> Scenario:
         raise ValueError("the lead would drive backwards")
     x = START_M + car.axle_to_front + thw * v + 0.5 * CAR[0]
     x = x + np.r_[0.0, np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(t))]
-    lead = moving("lead", AgentKind.CAR, CAR, t, x, np.zeros(len(t)), yaw=0.0)
+    lead = moving("lead", AgentKind.CAR, CAR, t, x, 0.0, yaw=0.0)
 
     def ahead(time: float, s: float) -> Ahead:
         gap = np.interp(time, t, x) - 0.5 * CAR[0] - (s + car.axle_to_front)
@@ -164,18 +166,21 @@ def cut_in(p: Mapping[str, float]) -> Scenario:
     },
 )
 def nudge(p: Mapping[str, float]) -> Scenario:
-    v, width, at = p["ego_speed_mps"], VehicleParameters().width, START_M + p["distance_m"]
+    v, width, station = p["ego_speed_mps"], VehicleParameters().width, START_M + p["distance_m"]
     edge = p["intrusion_m"] - HALF_LANE
     offset = max(0.0, bypass(edge, p["clearance_m"], width))
     run, beside = p["shift_m"], 10.0
-    shifts = [(at - beside - run, at - beside, offset), (at + beside, at + beside + run, 0.0)]
-    end = at + beside + run + 60.0
+    shifts = [
+        (station - beside - run, station - beside, offset),
+        (station + beside, station + beside + run, 0.0),
+    ]
+    end = station + beside + run + 60.0
     path = weaving(end + BEYOND_M, shifts)
     duration = tenths((end - START_M) / v)
     driven = drive(path, speed=v, duration=duration)
     straight = curve((path.length, 0.0, 0.0))
     cars, road = (
-        [parked("parked", at, edge - 0.5 * CAR[1])],
+        [parked("parked", station, edge - 0.5 * CAR[1])],
         two_lanes(straight, v, ego_on_right=True),
     )
     metadata = expects(parked=(DecisionKind.NUDGE_LEFT,))
@@ -207,19 +212,11 @@ def nudge(p: Mapping[str, float]) -> Scenario:
     },
 )
 def cyclist(p: Mapping[str, float]) -> Scenario:
-    v, u, car, facing = (
-        p["ego_speed_mps"],
-        p["cyclist_speed_mps"],
-        VehicleParameters(),
-        LANE_WIDTH_M,
-    )
+    v, u, car = p["ego_speed_mps"], p["cyclist_speed_mps"], VehicleParameters()
     if not v > u:
         raise ValueError("the cyclist would not be reached")
-    ahead, run, room = (
-        p["distance_m"] + car.axle_to_front + 0.5 * BICYCLE[0],
-        p["shift_m"],
-        p["room_m"],
-    )
+    ahead = p["distance_m"] + car.axle_to_front + 0.5 * BICYCLE[0]
+    run, room = p["shift_m"], p["room_m"]
     first, last = (
         v * (ahead + side * (car.length + BICYCLE[0])) / (v - u) + START_M for side in (-1.0, 1.0)
     )
@@ -231,17 +228,14 @@ def cyclist(p: Mapping[str, float]) -> Scenario:
     )
     duration = tenths((end - START_M) / v)
     t = grid(duration)
-    beside = np.full(len(t), p["offset_m"])
     rider = moving(
-        "cyclist", AgentKind.BICYCLE, BICYCLE, t, START_M + ahead + u * t, beside, yaw=0.0
+        "cyclist", AgentKind.BICYCLE, BICYCLE, t, START_M + ahead + u * t, p["offset_m"], yaw=0.0
     )
     comes, w = START_M + p["oncoming_m"], p["oncoming_speed_mps"]
     held = comes - CAR[0] - 0.25 * w**2  # then it brakes with 2 m/s2, to a stand at the road's end
     braking = np.clip(t - held / w, 0.0, 0.5 * w)
-    gone = np.minimum(w * t, held) + w * braking - braking**2
-    oncoming = moving(
-        "oncoming", AgentKind.CAR, CAR, t, comes - gone, np.full(len(t), facing), yaw=pi
-    )
+    driven_m = np.minimum(w * t, held) + w * braking - braking**2
+    oncoming = moving("oncoming", AgentKind.CAR, CAR, t, comes - driven_m, LANE_WIDTH_M, yaw=pi)
     driven = drive(path, speed=v, duration=duration)
     straight = curve((path.length, 0.0, 0.0))
     metadata = expects(cyclist=(DecisionKind.NUDGE_LEFT,))
@@ -375,16 +369,17 @@ def at_junction(p: Mapping[str, float]) -> Scenario:
     cars, passing = [], []
     # On the main road, from both sides in turn
     for k, name in enumerate(("left_1", "right_1", "left_2", "right_2")):
-        at, side = p["first_s"] + k * p["between_s"], copysign(1.0, -(k % 2) + 0.5)
-        way = y - side * p["main_speed_mps"] * (t - at)
-        lane = np.full(len(t), x - side * HALF_LANE)
-        cars.append(moving(name, AgentKind.CAR, CAR, t, lane, way, yaw=-side * 0.5 * np.pi))
-        passing.append(at)
+        time, side = p["first_s"] + k * p["between_s"], copysign(1.0, -(k % 2) + 0.5)
+        along, lane = y - side * p["main_speed_mps"] * (t - time), x - side * HALF_LANE
+        cars.append(moving(name, AgentKind.CAR, CAR, t, lane, along, yaw=-side * 0.5 * np.pi))
+        passing.append(time)
 
     def ahead(time: float, s: float) -> Ahead | None:
-        there = time + max(0.0, begin - s - car.axle_to_front) / v
+        arrival = time + max(0.0, begin - s - car.axle_to_front) / v
         now = time - p["reaction_s"]
-        free = not any(at - p["gap_s"] < there and now < at + p["behind_s"] for at in passing)
+        free = not any(
+            passes - p["gap_s"] < arrival and now < passes + p["behind_s"] for passes in passing
+        )
         return None if free else stopping(begin, v, car, s)
 
     turning = min(v, sqrt(p["lateral_mps2"] * place.radius))
@@ -444,14 +439,13 @@ def yellow_light(p: Mapping[str, float]) -> Scenario:
 def bend(p: Mapping[str, float]) -> Scenario:
     v, kappa, clothoid = p["ego_speed_mps"], 1.0 / p["radius_m"], p["clothoid_m"]
     arc = radians(p["turn_deg"]) / kappa - clothoid
-    turn = [(clothoid, 0.0, kappa), (arc, kappa, kappa), (clothoid, kappa, 0.0)]
-    back = [(length, -one, -two) for length, one, two in turn]
+    turn = left_turn(arc, kappa, clothoid)
     beyond = v * (p["duration_s"] + SPARE_S)
     path = curve(
         (START_M + p["distance_m"], 0.0, 0.0),
         *turn,
         (p["between_m"], 0.0, 0.0),
-        *back,
+        *opposite(turn),
         (beyond, 0.0, 0.0),
     )
     slow = np.minimum(v, np.sqrt(p["lateral_mps2"] / np.maximum(np.abs(path.kappa), 1e-9)))
@@ -485,13 +479,8 @@ def bend(p: Mapping[str, float]) -> Scenario:
     },
 )
 def pull_outs(p: Mapping[str, float]) -> Scenario:
-    v, u, duration, car = (
-        p["ego_speed_mps"],
-        p["car_speed_mps"],
-        p["duration_s"],
-        VehicleParameters(),
-    )
-    t, right = grid(duration), -LANE_WIDTH_M
+    v, u, duration = p["ego_speed_mps"], p["car_speed_mps"], p["duration_s"]
+    t, right, car = grid(duration), -LANE_WIDTH_M, VehicleParameters()
     path = straight_path(v, duration)
     agents: list[Agent] = []
     lanes: list[tuple[FloatArray, FloatArray]] = []
@@ -502,11 +491,8 @@ def pull_outs(p: Mapping[str, float]) -> Scenario:
             for x, y in lanes
             if float(np.interp(time, t, y)) + 0.5 * CAR[1] > -HALF_LANE
         ]
-        return (
-            Ahead(*min(gap for gap in gaps if gap[0] > 0.0))
-            if any(gap > 0.0 for gap, _ in gaps)
-            else None
-        )
+        nearest = min((gap for gap in gaps if gap[0] > 0.0), default=None)
+        return None if nearest is None else Ahead(*nearest)
 
     # Each car stands behind its van, and pulls out when the driver is `gap_m` behind it
     for k in range(3):
@@ -516,12 +502,12 @@ def pull_outs(p: Mapping[str, float]) -> Scenario:
         starts = float(
             np.interp(begin - 0.5 * CAR[0] - p["gap_m"] - car.axle_to_front, driven.x, driven.t)
         )
-        way = 4.0 * shift + VAN[0]
-        x = begin + way * walked(t - starts, way, u, ramp=3.0)
-        out, home = (
+        distance = 4.0 * shift + VAN[0]
+        x = begin + distance * walked(t - starts, distance, u, ramp=3.0)
+        left, back = (
             np.clip((x - begin - far) / shift, 0.0, 1.0) for far in (0.0, 2.0 * shift + VAN[0])
         )
-        y = right - right * (out**2 * (3.0 - 2.0 * out) - home**2 * (3.0 - 2.0 * home))
+        y = right - right * (left**2 * (3.0 - 2.0 * left) - back**2 * (3.0 - 2.0 * back))
         lanes.append((x, y))
         agents += [
             parked(f"van_{k + 1}", van, right, size=VAN),
@@ -533,7 +519,7 @@ def pull_outs(p: Mapping[str, float]) -> Scenario:
         + np.maximum(t - driven.t[-1], 0.0) * driven.v[-1]
         - p["follower_m"]
     )
-    agents.append(moving("follower", AgentKind.CAR, CAR, t, behind, np.zeros(len(t)), yaw=0.0))
+    agents.append(moving("follower", AgentKind.CAR, CAR, t, behind, 0.0, yaw=0.0))
     metadata = expects(**{f"car_{k}": (DecisionKind.FOLLOW, *WAITS) for k in (1, 2, 3)})
     return finished(
         path, driven, agents, two_lanes(path, v, ego_on_right=False), duration, metadata=metadata

@@ -151,22 +151,25 @@ def expects(**kinds: tuple[DecisionKind, ...]) -> dict[str, str]:
 
 def touches(scenario: Scenario) -> str | None:
     """The first agent that the logged ego touches, or None."""
-    found = _contact(scenario)
-    return None if found is None else found[1]
+    contact = _contact(scenario)
+    return None if contact is None else contact[1]
 
 
 def before_contact(scenario: Scenario) -> Scenario:
     """The scenario, its ego log ended before the first contact, which the metadata name; ValueError
     at the start.
     """
-    found = _contact(scenario)
-    if found is None:
+    contact = _contact(scenario)
+    if contact is None:
         return scenario
-    step, who = found
+    step, agent = contact
     if step == 0:
-        raise ValueError(f"{who} is in the ego at the start")
+        raise ValueError(f"{agent} is in the ego at the start")
     t = scenario.ego.t
-    meeting = {"logged_driver_would_meet": who, "logged_driver_would_meet_s": repr(float(t[step]))}
+    meeting = {
+        "logged_driver_would_meet": agent,
+        "logged_driver_would_meet_s": repr(float(t[step])),
+    }
     ego = scenario.ego.between(float(t[0]), float(t[step - 1]))
     return replace(scenario, ego=ego, metadata={**scenario.metadata, **meeting})
 

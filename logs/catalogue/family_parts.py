@@ -96,8 +96,9 @@ def drive(
     Raises:
         ValueError: The path is too short.
     """
-    t, s, v, a, rows = 0.0, start, speed, 0.0, []
     cruise = speed if cruise is None else cruise
+    t, s, rows = 0.0, start, []
+    v, a = speed, 0.0
     every = round(SAMPLE_S / STEP_S)
     for k in range(round(duration / STEP_S) + 1):
         if k % every == 0:
@@ -168,14 +169,14 @@ def obstruction(x: float, side: float) -> tuple[Agent, Agent]:
     """The two parked cars of CPNCO before the line x, their left sides at y = `side`, m."""
     small_front = x - APART_M
     large_front = small_front - SMALL_CAR[0] - APART_M
-    return (
-        parked(
-            "small_car", small_front - 0.5 * SMALL_CAR[0], side - 0.5 * SMALL_CAR[1], size=SMALL_CAR
-        ),
-        parked(
-            "large_car", large_front - 0.5 * LARGE_CAR[0], side - 0.5 * LARGE_CAR[1], size=LARGE_CAR
-        ),
+    small, large = (
+        parked(name, front - 0.5 * length, side - 0.5 * width, size=(length, width))
+        for name, front, (length, width) in (
+            ("small_car", small_front, SMALL_CAR),
+            ("large_car", large_front, LARGE_CAR),
+        )
     )
+    return small, large
 
 
 def moving(
@@ -183,17 +184,19 @@ def moving(
     kind: AgentKind,
     size: tuple[float, float],
     t: FloatArray,
-    x: FloatArray,
-    y: FloatArray,
+    x: FloatArray | float,
+    y: FloatArray | float,
     *,
     yaw: float,
 ) -> Agent:
-    """A road user at positions `(n,)` at times `(n,)`, uniformly spaced.
+    """A road user at positions `(n,)` (a number: it does not change) at times `(n,)`, uniformly
+    spaced.
 
     Velocities are backward differences: a sample does not depend on later positions. The heading is
     that of the velocity; it is `yaw` while the road user stands at the begin.
     """
-    vx, vy = (np.r_[way[0], way] for way in (np.diff(x) / np.diff(t), np.diff(y) / np.diff(t)))
+    x, y = np.broadcast_to(x, t.shape), np.broadcast_to(y, t.shape)
+    vx, vy = (np.r_[rate[:1], rate] for rate in (np.diff(x) / np.diff(t), np.diff(y) / np.diff(t)))
     heading, last = np.empty(len(t)), yaw
     for i in range(len(t)):
         last = float(np.arctan2(vy[i], vx[i])) if np.hypot(vx[i], vy[i]) > 0.05 else last
@@ -205,17 +208,14 @@ def tracks(agents: Sequence[Agent]) -> Tracks:
     """The road users as Tracks."""
     if not agents:
         return Tracks.empty()
-    ids, kinds = tuple(agent.id for agent in agents), tuple(agent.kind for agent in agents)
     length, width = np.array([agent.size for agent in agents]).T
-    static = np.array([agent.static for agent in agents])
-    offsets = np.cumsum([0, *(len(agent.samples) for agent in agents)])
     return Tracks(
-        ids,
-        kinds,
+        tuple(agent.id for agent in agents),
+        tuple(agent.kind for agent in agents),
         length,
         width,
-        static,
-        offsets,
+        np.array([agent.static for agent in agents]),
+        np.cumsum([0, *(len(agent.samples) for agent in agents)]),
         *np.vstack([agent.samples for agent in agents]).T,
     )
 
@@ -258,9 +258,7 @@ def pedestrian_across(p: Mapping[str, float], x: float) -> tuple[Agent, float]:
     y0, y1 = -(HALF_LANE + p["kerb_distance_m"]), HALF_LANE + p["rest_distance_m"]
     t = grid(p["duration_s"])
     y = y0 + (y1 - y0) * walked(t - p["walk_start_s"], y1 - y0, p["pedestrian_speed_mps"])
-    agent = moving(
-        "pedestrian", AgentKind.PEDESTRIAN, ADULT, t, np.full(len(t), x), y, yaw=0.5 * np.pi
-    )
+    agent = moving("pedestrian", AgentKind.PEDESTRIAN, ADULT, t, x, y, yaw=0.5 * np.pi)
     return agent, float(t[np.argmax(y > HALF_LANE + 0.5 * max(ADULT))])
 
 

@@ -99,20 +99,20 @@ it, m/s2.
 def _track(p: Mapping[str, float], sections: Callable[..., tuple[ConeLane, ...]]) -> Scenario:
     v, car = p["ego_kmh"] * KMH, VehicleParameters()
     approach = APPROACH_M + 0.5 * v * v / BRAKE_MPS2
-    there = (
+    lanes = (
         sections(car.width, edge_based=p["edge_based"] > 0.0)
         if "edge_based" in p
         else sections(car.width)
     )
     ahead = car.axle_to_center
     shifts = [
-        (approach + one.end - ahead, approach + two.begin - ahead, two.offset)
-        for one, two in pairwise(there)
+        (approach + lane_before.end - ahead, approach + lane_after.begin - ahead, lane_after.offset)
+        for lane_before, lane_after in pairwise(lanes)
     ]
-    last = approach + there[-1].end
+    last = approach + lanes[-1].end
     path = weaving(LONGER * (last + BEYOND_M), shifts)
     slow = min(v, (LATERAL_MPS2 / float(np.abs(path.kappa).max())) ** 0.5)
-    first = approach + there[0].begin - APPROACH_M
+    first = approach + lanes[0].begin - APPROACH_M
 
     def cruise(s: float) -> float:
         wanted: float = (slow**2 + 2.0 * BRAKE_MPS2 * max(first - s, 0.0)) ** 0.5
@@ -123,19 +123,20 @@ def _track(p: Mapping[str, float], sections: Callable[..., tuple[ConeLane, ...]]
     duration = float(driven.t[-1])
     # Stations of the lane through the sections
     begin, end = -approach - car.length, path.length - approach
-    knots = [(begin, HALF_LANE, -HALF_LANE), (there[0].begin - TAPER_M, HALF_LANE, -HALF_LANE)]
-    for i, section in enumerate(there):
+    knots = [(begin, HALF_LANE, -HALF_LANE), (lanes[0].begin - TAPER_M, HALF_LANE, -HALF_LANE)]
+    for i, section in enumerate(lanes):
         edges = section.offset + 0.5 * section.width, section.offset - 0.5 * section.width
         if i:
             before, on_left, on_right = knots[-1]
             middle = 0.5 * (on_left + edges[0]) + WIDER_M, 0.5 * (on_right + edges[1]) - WIDER_M
             knots.append((0.5 * (before + section.begin), *middle))
         knots += [(section.begin, *edges), (section.end, *edges)]
-    knots += [(there[-1].end + TAPER_M, HALF_LANE, -HALF_LANE), (end, HALF_LANE, -HALF_LANE)]
-    at, left, right = np.array(knots).T
-    x = np.union1d(at, np.arange(begin, end, LANE_STEP_M))
+    knots += [(lanes[-1].end + TAPER_M, HALF_LANE, -HALF_LANE), (end, HALF_LANE, -HALF_LANE)]
+    stations, left, right = np.array(knots).T
+    x = np.union1d(stations, np.arange(begin, end, LANE_STEP_M))
     left, right = (
-        np.column_stack([x, np.interp(x, at, y)]) + np.array([approach, 0.0]) for y in (left, right)
+        np.column_stack([x, np.interp(x, stations, y)]) + np.array([approach, 0.0])
+        for y in (left, right)
     )
     lane = Lane(1, left, right, speed_limit=v, kind="urban")
     road = Road({1: lane}, default_speed_limit=v)

@@ -29,7 +29,7 @@ from replan.logs.catalogue.family_parts import (
     tenths,
     waiting,
 )
-from replan.logs.catalogue.roads import curve, one_lane, two_lanes, weaving
+from replan.logs.catalogue.roads import curve, left_turn, one_lane, opposite, two_lanes, weaving
 from replan.logs.plan import DecisionKind
 from replan.logs.scenario import Scenario
 from replan.logs.vehicle import VehicleParameters
@@ -51,10 +51,9 @@ def free_road(p: Mapping[str, float]) -> Scenario:
     radius, clothoid, v = p["radius_m"], p["clothoid_m"], p["ego_speed_mps"]
     kappa = 1.0 / radius
     arc = radius * radians(p["turn_deg"]) - clothoid
-    bend = ((clothoid, 0.0, kappa), (arc, kappa, kappa), (clothoid, kappa, 0.0))
-    other = tuple((length, -first, -last) for length, first, last in bend)
+    bend = left_turn(arc, kappa, clothoid)
     entry, exit_ = p["straight_m"] + START_M, p["straight_m"] + 20.0
-    path = curve((entry, 0.0, 0.0), *bend, *other, (exit_ + BEYOND_M, 0.0, 0.0))
+    path = curve((entry, 0.0, 0.0), *bend, *opposite(bend), (exit_ + BEYOND_M, 0.0, 0.0))
     duration = tenths((path.length - BEYOND_M - START_M) / v)
     driven = drive(path, speed=v, duration=duration)
     return finished(
@@ -78,14 +77,14 @@ def free_road(p: Mapping[str, float]) -> Scenario:
 )
 def static_obstacles(p: Mapping[str, float]) -> Scenario:
     v, spacing, width = p["ego_speed_mps"], p["spacing_m"], VehicleParameters().width
-    at = START_M + p["first_m"] + spacing * np.arange(3)
+    stations = START_M + p["first_m"] + spacing * np.arange(3)
     from_right = p["intrusion_right_m"] - HALF_LANE
     from_left = HALF_LANE - p["intrusion_left_m"]
     cars = (
-        parked("right_1", at[0], from_right - 0.5 * CAR[1]),
-        parked("left", at[1], from_left + 0.5 * CAR[1]),
-        parked("left_outer", at[1], from_left + 1.5 * CAR[1] + 0.4),
-        parked("right_2", at[2], from_right - 0.5 * CAR[1]),
+        parked("right_1", stations[0], from_right - 0.5 * CAR[1]),
+        parked("left", stations[1], from_left + 0.5 * CAR[1]),
+        parked("left_outer", stations[1], from_left + 1.5 * CAR[1] + 0.4),
+        parked("right_2", stations[2], from_right - 0.5 * CAR[1]),
     )
     to_left = max(0.0, bypass(from_right, p["clearance_m"], width))
     to_right = min(0.0, bypass(from_left, -p["clearance_m"], width))
@@ -93,11 +92,11 @@ def static_obstacles(p: Mapping[str, float]) -> Scenario:
     run, flat = 0.6 * spacing, 0.2 * spacing
     past = [
         (station - flat - run, station - flat, left)
-        for station, left in zip(at, (to_left, to_right, to_left), strict=True)
+        for station, left in zip(stations, (to_left, to_right, to_left), strict=True)
     ]
-    last = at[2] + flat
+    last = stations[2] + flat
     path = weaving(last + run + 40.0 + BEYOND_M, [*past, (last, last + run, 0.0)])
-    duration = tenths((at[2] + spacing + 40.0 - START_M) / v)
+    duration = tenths((stations[2] + spacing + 40.0 - START_M) / v)
     driven = drive(path, speed=v, duration=duration)
     straight = curve((path.length, 0.0, 0.0))
     left, right = (DecisionKind.NUDGE_LEFT,), (DecisionKind.NUDGE_RIGHT,)

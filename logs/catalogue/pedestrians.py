@@ -96,7 +96,7 @@ def strolled(t: FloatArray, legs: Sequence[Leg]) -> FloatArray:
 def walker(
     name: str,
     t: FloatArray,
-    at: tuple[float, float],
+    start: tuple[float, float],
     legs: Sequence[Leg],
     *,
     towards: float = 0.5 * pi,
@@ -105,8 +105,8 @@ def walker(
     """A pedestrian who walks legs from a point in one direction (rad), backwards for legs of
     negative distance.
     """
-    way = strolled(t, legs)
-    x, y = at[0] + way * cos(towards), at[1] + way * sin(towards)
+    walked_m = strolled(t, legs)
+    x, y = start[0] + walked_m * cos(towards), start[1] + walked_m * sin(towards)
     return moving(name, AgentKind.PEDESTRIAN, size, t, x, y, yaw=towards)
 
 
@@ -115,8 +115,8 @@ def off_lane(walkers: Sequence[Agent]) -> float:
     or none comes.
     """
     last = -1
-    for one in walkers:
-        on = np.flatnonzero(np.abs(one.samples[:, 2]) <= HALF_LANE + 0.5 * max(one.size))
+    for agent in walkers:
+        on = np.flatnonzero(np.abs(agent.samples[:, 2]) <= HALF_LANE + 0.5 * max(agent.size))
         last = max(last, int(on[-1]) if len(on) else -1)
     t = walkers[0].samples[:, 0]
     if not 0 <= last < len(t) - 1:
@@ -172,7 +172,7 @@ def _crossing_scene(
     path = straight_path(v, duration)
     driven = drive(path, speed=v, cruise=cruise, duration=duration, ahead=ahead)
     metadata = {
-        **expects(**{one.id: kinds for one in agents if one.kind is AgentKind.PEDESTRIAN}),
+        **expects(**{agent.id: kinds for agent in agents if agent.kind is AgentKind.PEDESTRIAN}),
         "pedestrian_sets_off_s": repr(sets_off),
         "pedestrian_off_lane_s": repr(clear),
     }
@@ -202,12 +202,12 @@ def _crossing_scene(
 )
 def turns_back(p: Mapping[str, float]) -> Scenario:
     y0 = -(HALF_LANE + p["kerb_distance_m"])
-    way = p["stop_lateral_m"] - y0
-    there = Leg(p["walk_start_s"], way, p["pedestrian_speed_mps"])
-    back = Leg(there.end + p["dwell_s"], -way, p["return_speed_mps"])
-    x = _station(p, there.begin)
-    one = walker("pedestrian", grid(p["duration_s"]), (x, y0), (there, back))
-    return _waiting_driver(p, [one], x, there.begin)
+    distance = p["stop_lateral_m"] - y0
+    onto_lane = Leg(p["walk_start_s"], distance, p["pedestrian_speed_mps"])
+    back = Leg(onto_lane.end + p["dwell_s"], -distance, p["return_speed_mps"])
+    x = _station(p, onto_lane.begin)
+    agent = walker("pedestrian", grid(p["duration_s"]), (x, y0), (onto_lane, back))
+    return _waiting_driver(p, [agent], x, onto_lane.begin)
 
 
 @family(
@@ -234,8 +234,10 @@ def hesitates(p: Mapping[str, float]) -> Scenario:
     to_kerb = Leg(p["walk_start_s"], p["approach_m"], p["approach_speed_mps"])
     across = Leg(to_kerb.end + p["dwell_s"], y1 - y0, p["pedestrian_speed_mps"])
     x = _station(p, across.begin)
-    one = walker("pedestrian", grid(p["duration_s"]), (x, y0 - p["approach_m"]), (to_kerb, across))
-    return _waiting_driver(p, [one], x, across.begin)
+    agent = walker(
+        "pedestrian", grid(p["duration_s"]), (x, y0 - p["approach_m"]), (to_kerb, across)
+    )
+    return _waiting_driver(p, [agent], x, across.begin)
 
 
 RUNS_OUT: Mapping[str, float] = {
@@ -314,9 +316,9 @@ def jaywalker(p: Mapping[str, float]) -> Scenario:
     )
     hurry = Leg(begin.slows, (y1 - p["step_lateral_m"]) / sin(angle), p["hurry_speed_mps"])
     x = _station(p, begin.begin)
-    one = walker("pedestrian", grid(p["duration_s"]), (x, y0), (begin, hurry), towards=angle)
-    on = np.abs(one.samples[:, 2]) <= HALF_LANE
-    return _waiting_driver(p, [one], float(one.samples[on, 1].min()), begin.begin)
+    agent = walker("pedestrian", grid(p["duration_s"]), (x, y0), (begin, hurry), towards=angle)
+    on = np.abs(agent.samples[:, 2]) <= HALF_LANE
+    return _waiting_driver(p, [agent], float(agent.samples[on, 1].min()), begin.begin)
 
 
 @family(
@@ -382,14 +384,14 @@ def along(p: Mapping[str, float]) -> Scenario:
     begun = float(strolled(np.zeros(1), (along,))[0])
     x = START_M + front + p["distance_m"] - begun + strolled(t, (along,))
     y = p["lateral_m"] - strolled(t, (Leg(p["leave_s"], aside, v),))
-    one = moving("pedestrian", AgentKind.PEDESTRIAN, ADULT, t, x, y, yaw=0.0)
-    clear = off_lane([one])
+    agent = moving("pedestrian", AgentKind.PEDESTRIAN, ADULT, t, x, y, yaw=0.0)
+    clear = off_lane([agent])
 
     def ahead(time: float, s: float) -> Ahead | None:
         gap = float(np.interp(time, t, x)) - 0.5 * max(ADULT) - p["stop_distance_m"] - (s + front)
         return Ahead(gap, v) if p["reaction_s"] <= time < clear else None
 
-    return _crossing_scene(p, [one], 0.0, clear, ahead, kinds=(DecisionKind.FOLLOW, *WAITS))
+    return _crossing_scene(p, [agent], 0.0, clear, ahead, kinds=(DecisionKind.FOLLOW, *WAITS))
 
 
 @family(

@@ -142,15 +142,11 @@ def crossing(
     `start_m` is its first distance from the ego's path. It is hidden behind two parked cars
     ("cpnco"), or behind one whose side is `hidden_m` from the ego's path ("cbnao").
     """
-    v, u, car, side = (
-        p["ego_kmh"] * KMH,
-        p["target_kmh"] * KMH,
-        VehicleParameters(),
-        1.0 if far else -1.0,
-    )
+    v, u = p["ego_kmh"] * KMH, p["target_kmh"] * KMH
+    car, side = VehicleParameters(), 1.0 if far else -1.0
     t, ramp = grid(p["duration_s"]), max(2.0 * p["run_up_m"] / u, RAMP_S)
-    way = p["start_m"] - side * impact(p["overlap_percent"])
-    off = TTC_S - 0.5 * ramp - way / u  # (2)
+    distance = p["start_m"] - side * impact(p["overlap_percent"])
+    off = TTC_S - 0.5 * ramp - distance / u  # (2)
     whole = p["start_m"] + HALF_LANE + REST_M + 0.5 * u * ramp + (LANE_WIDTH_M if far else 0.0)
     y = side * (p["start_m"] - whole * walked(t - off, whole, u, ramp))
     line = START_M + car.axle_to_front + v * TTC_S + 0.5 * target.size[1]
@@ -159,7 +155,7 @@ def crossing(
         target.kind,
         target.size,
         t,
-        np.full(len(t), line),
+        line,
         y,
         yaw=copysign(0.5 * pi, -side),
     )
@@ -233,7 +229,7 @@ def lead(p: Mapping[str, float], target: Target, y: float) -> Scenario:
     half, front = 0.5 * target.size[0], car.axle_to_front
     x = START_M + front + gap + half + travelled(t, speed)
     if u > 0.0:
-        other = moving(target.id, target.kind, target.size, t, x, np.full(len(t), y), yaw=0.0)
+        other = moving(target.id, target.kind, target.size, t, x, y, yaw=0.0)
     else:
         other = parked(target.id, float(x[0]), y, size=target.size)
     shows = p["brake_s"] if p["brake_mps2"] else 0.0

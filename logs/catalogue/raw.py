@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from math import pi
 
 import numpy as np
@@ -56,6 +57,36 @@ TRUCK = (8.0, 2.4)
 Parameters = Mapping[str, float]
 
 
+Build = Callable[[Parameters], Scenario]
+TRUE: dict[str, Build] = {}
+"""The true scenes by the name of their family."""
+SOURCE = "ours; errors of the detector as measured on 13 city drives (logs/catalogue/detector.py)"
+
+
+def _scene(
+    name: str, summary: str, tag: str, parameters: Mapping[str, float]
+) -> Callable[[Build], Family]:
+    """Decorate a true scene: return its family, as the detector sees it."""
+
+    def register(scene: Build) -> Family:
+        family = f"raw/{name}"
+        TRUE[family] = scene
+        build = partial(_as_detected, scene=scene)
+        return Family(
+            family, summary, {**parameters, "seed": 1.0}, ("raw", tag), build, source=SOURCE
+        )
+
+    return register
+
+
+def _as_detected(p: Parameters, scene: Build) -> Scenario:
+    true = scene(p)
+    if (agent := touches(true)) is not None:
+        raise ValueError(f"the logged driver touches {agent}")
+    detections = detected(true.tracks, true.ego, int(p["seed"]))
+    return replace(true, tracks=Tracks.empty(), detections=detections, metadata={})
+
+
 def _row(name: str, first: float, last: float, y: float, *, spacing: float = 6.5) -> list[Agent]:
     """Cars parked one behind the other, at y."""
     return [
@@ -73,9 +104,7 @@ def _moving_agent(
     speed: float,
 ) -> Agent:
     """A road user along the road at a constant speed, which is backwards where it is negative."""
-    return moving(
-        name, kind, size, t, x + speed * t, np.full(len(t), y), yaw=0.0 if speed > 0.0 else pi
-    )
+    return moving(name, kind, size, t, x + speed * t, y, yaw=0.0 if speed > 0.0 else pi)
 
 
 def _true_scene(
@@ -98,7 +127,20 @@ def _goal(path: CurveSamples, driven: Trajectory) -> Goal:
     return Goal((stretch(path, end - EARLY_M, end + EARLY_M, right=-HALF_LANE, left=HALF_LANE),))
 
 
-def _crossing(p: Parameters) -> Scenario:
+@_scene(
+    "crossing",
+    "a pedestrian crosses between parked cars, others walk along: detections without identities",
+    "pedestrian",
+    {
+        "ego_speed_mps": 8.0,
+        "pedestrian_speed_mps": 1.2,
+        "walk_start_s": 5.0,
+        "distance_m": 28.0,
+        "kerb_distance_m": 0.6,
+        "duration_s": 27.0,
+    },
+)
+def crossing(p: Parameters) -> Scenario:
     """The paper's crossing pedestrian, between rows of parked cars and people on the sidewalks."""
     scene = paper.crossing_pedestrian
     whole = scene.build(
@@ -118,32 +160,42 @@ def _crossing(p: Parameters) -> Scenario:
     )
 
 
-def _queue(p: Parameters) -> Scenario:
+@_scene(
+    "queue",
+    "a queue stands in the lane and drives on, another stands beside it",
+    "follow",
+    {"ego_speed_mps": 8.0, "distance_m": 60.0, "stands_s": 10.0, "duration_s": 34.0},
+)
+def queue(p: Parameters) -> Scenario:
     """Cars stand in the ego's lane until they drive on, others in the lane beside it."""
     t, v, car = grid(p["duration_s"]), p["ego_speed_mps"], VehicleParameters()
     last = START_M + car.axle_to_front + p["distance_m"]
-    queue, ways = [], []
+    cars, positions = [], []
     for k in range(4):
         begins = p["stands_s"] + 1.2 * k
         rolls = np.clip(t - begins, 0.0, v / 1.5)
         x = last + (3 - k) * 7.0 + 0.75 * rolls**2 + v * np.clip(t - begins - v / 1.5, 0.0, np.inf)
-        queue.append(moving(f"queue_{k}", AgentKind.CAR, CAR, t, x, np.zeros(len(t)), yaw=0.0))
-        ways.append(x)
+        cars.append(moving(f"queue_{k}", AgentKind.CAR, CAR, t, x, 0.0, yaw=0.0))
+        positions.append(x)
 
     def ahead(time: float, s: float) -> Ahead:
-        gap = float(np.interp(time, t, ways[-1])) - 0.5 * CAR[0] - (s + car.axle_to_front)
-        speed = float(np.interp(time, t, np.gradient(ways[-1], t)))
+        gap = float(np.interp(time, t, positions[-1])) - 0.5 * CAR[0] - (s + car.axle_to_front)
+        speed = float(np.interp(time, t, np.gradient(positions[-1], t)))
         return Ahead(gap - 3.0, speed, stop=speed < 0.1)
 
     beside = _row("beside", last - 40.0, last + 40.0, LANE_WIDTH_M, spacing=6.8)
-    turned = [
-        replace(each, samples=each.samples + np.array([0.0, 0.0, 0.0, pi, 0.0, 0.0]))
-        for each in beside
-    ]
-    return _true_scene(p, [*queue, *turned], two_way, v, ahead)
+    turn = np.array([0.0, 0.0, 0.0, pi, 0.0, 0.0])
+    turned = [replace(car, samples=car.samples + turn) for car in beside]
+    return _true_scene(p, [*cars, *turned], two_way, v, ahead)
 
 
-def _parked_rows(p: Parameters) -> Scenario:
+@_scene(
+    "parked",
+    "rows of parked cars on both sides, people behind them",
+    "static",
+    {"ego_speed_mps": 8.0, "duration_s": 25.0},
+)
+def parked_rows(p: Parameters) -> Scenario:
     """Rows of parked cars on both sides, a truck among them, and people behind them."""
     t, end = grid(p["duration_s"]), START_M + p["ego_speed_mps"] * p["duration_s"] + 40.0
     truck = Agent(
@@ -165,7 +217,19 @@ def _parked_rows(p: Parameters) -> Scenario:
     return _true_scene(p, [*rows, truck, *walkers], one_lane, p["ego_speed_mps"], lambda t, s: None)
 
 
-def _rider(p: Parameters) -> Scenario:
+@_scene(
+    "rider",
+    "a rider comes towards the ego, taken for a pedestrian",
+    "cyclist",
+    {
+        "ego_speed_mps": 8.0,
+        "distance_m": 90.0,
+        "offset_m": 2.4,
+        "rider_speed_mps": 5.5,
+        "duration_s": 25.0,
+    },
+)
+def rider(p: Parameters) -> Scenario:
     """A rider comes towards the ego in the lane beside, detected as a pedestrian.
 
     Cars come, too.
@@ -188,7 +252,13 @@ def _rider(p: Parameters) -> Scenario:
     return _true_scene(p, [rider, *cars, *side], two_way, p["ego_speed_mps"], lambda t, s: None)
 
 
-def _clusters(p: Parameters) -> Scenario:
+@_scene(
+    "clusters",
+    "clusters of points beside the road, a car ahead",
+    "static",
+    {"ego_speed_mps": 8.0, "clusters": 80.0, "duration_s": 25.0},
+)
+def clusters(p: Parameters) -> Scenario:
     """Bushes, poles and walls beside the road, as clusters of points; a car ahead."""
     t, v, rng = grid(p["duration_s"]), p["ego_speed_mps"], np.random.default_rng(int(p["seed"]))
     count, end = int(p["clusters"]), START_M + v * p["duration_s"] + 40.0
@@ -212,85 +282,4 @@ def _clusters(p: Parameters) -> Scenario:
     return _true_scene(p, [lead, *things], one_lane, v, lambda t, s: None)
 
 
-def _family(
-    name: str,
-    summary: str,
-    parameters: Mapping[str, float],
-    tag: str,
-    scene: Callable[[Parameters], Scenario],
-) -> Family:
-    """The family of a true scene, as the detector sees it."""
-
-    def build(p: Parameters) -> Scenario:
-        true = scene(p)
-        touched = touches(true)
-        if touched is not None:
-            raise ValueError(f"the logged driver touches {touched}")
-        found = detected(true.tracks, true.ego, int(p["seed"]))
-        return replace(true, tracks=Tracks.empty(), detections=found, metadata={})
-
-    source = (
-        "ours; errors of the detector as measured on 13 city drives (logs/catalogue/detector.py)"
-    )
-    return Family(
-        f"raw/{name}", summary, {**parameters, "seed": 1.0}, ("raw", tag), build, {}, source
-    )
-
-
-_SCENES: tuple[tuple[str, str, Mapping[str, float], str, Callable[[Parameters], Scenario]], ...] = (
-    (
-        "crossing",
-        "a pedestrian crosses between parked cars, others walk along: detections without "
-        "identities",
-        {
-            "ego_speed_mps": 8.0,
-            "pedestrian_speed_mps": 1.2,
-            "walk_start_s": 5.0,
-            "distance_m": 28.0,
-            "kerb_distance_m": 0.6,
-            "duration_s": 27.0,
-        },
-        "pedestrian",
-        _crossing,
-    ),
-    (
-        "queue",
-        "a queue stands in the lane and drives on, another stands beside it",
-        {"ego_speed_mps": 8.0, "distance_m": 60.0, "stands_s": 10.0, "duration_s": 34.0},
-        "follow",
-        _queue,
-    ),
-    (
-        "parked",
-        "rows of parked cars on both sides, people behind them",
-        {"ego_speed_mps": 8.0, "duration_s": 25.0},
-        "static",
-        _parked_rows,
-    ),
-    (
-        "rider",
-        "a rider comes towards the ego, taken for a pedestrian",
-        {
-            "ego_speed_mps": 8.0,
-            "distance_m": 90.0,
-            "offset_m": 2.4,
-            "rider_speed_mps": 5.5,
-            "duration_s": 25.0,
-        },
-        "cyclist",
-        _rider,
-    ),
-    (
-        "clusters",
-        "clusters of points beside the road, a car ahead",
-        {"ego_speed_mps": 8.0, "clusters": 80.0, "duration_s": 25.0},
-        "static",
-        _clusters,
-    ),
-)
-FAMILIES = tuple(_family(*row) for row in _SCENES)
-CROSSING = FAMILIES[0]
-TRUE: Mapping[str, Callable[[Parameters], Scenario]] = {
-    f"raw/{name}": scene for name, *_, scene in _SCENES
-}
-"""The true scenes by the name of their family."""
+FAMILIES = (crossing, queue, parked_rows, rider, clusters)

@@ -107,12 +107,27 @@ def curve(*pieces: tuple[float, float, float]) -> CurveSamples:
     return CurveSamples(fine[::2], columns[0], columns[1], yaw[::2], kappa[::2])
 
 
+Pieces = tuple[tuple[float, float, float], ...]
+"""Pieces of `curve`: length, m, curvature at begin and end, 1/m."""
+
+
+def left_turn(arc: float, kappa: float, clothoid: float) -> Pieces:
+    """An arc of `arc` m with the curvature `kappa`, 1/m, between two clothoids, m."""
+    return (clothoid, 0.0, kappa), (arc, kappa, kappa), (clothoid, kappa, 0.0)
+
+
+def opposite(pieces: Pieces) -> Pieces:
+    """The pieces mirrored: a left turn becomes a right turn."""
+    return tuple((length, -begin, -end) for length, begin, end in pieces)
+
+
 def weaving(length: float, shifts: Sequence[tuple[float, float, float]]) -> CurveSamples:
     """A path along the x axis with lane shifts `(begin m, end m, lateral offset after it m)`, in
     order.
     """
     x = np.linspace(0.0, length, round(length / STEP_M) + 1)
-    y, slope, bend, offset = np.zeros(len(x)), np.zeros(len(x)), np.zeros(len(x)), 0.0
+    y, slope, bend = np.zeros((3, len(x)))
+    offset = 0.0
     for begin, end, target in shifts:
         run, rise = end - begin, target - offset
         u = np.clip((x - begin) / run, 0.0, 1.0)
@@ -230,13 +245,13 @@ def junction(
         raise ValueError(f"turn is {turn:g}: 1 is left, 0 straight on, -1 right")
     x, y = begin + HALF_BOX_M, _HALF
     reach, kappa = HALF_BOX_M + turn * _HALF, 0.0
-    bend: tuple[tuple[float, float, float], ...] = ((2.0 * HALF_BOX_M, 0.0, 0.0),)
+    bend: Pieces = ((2.0 * HALF_BOX_M, 0.0, 0.0),)
     if turn:  # a quarter turn that ends `reach` m ahead and `reach` m to the side
         low, high = 1.0 / reach, 2.0 / reach
         for _ in range(50):
             kappa = 0.5 * (low + high)
             low, high = (kappa, high) if curve(*_quarter(kappa)).y[-1] > reach else (low, kappa)
-        bend = tuple((length, turn * one, turn * two) for length, one, two in _quarter(kappa))
+        bend = _quarter(kappa) if turn > 0.0 else opposite(_quarter(kappa))
     path = curve((begin, 0.0, 0.0), *bend, (beyond, 0.0, 0.0))
     end = begin + sum(length for length, *_ in bend)
     ends = {
@@ -255,9 +270,9 @@ def junction(
     }
     lanes = [
         _straight(
-            i, *each, speed_limit, successors=tuple(k for k in inner if k // 10 == i), beside=True
+            i, *line, speed_limit, successors=tuple(k for k in inner if k // 10 == i), beside=True
         )
-        for i, each in ends.items()
+        for i, line in ends.items()
     ]
     for i, first in inner.items():
         if i == own and turn:
@@ -282,20 +297,18 @@ def junction(
             lanes.append(
                 _straight(i, ends[i // 10][1], ends[i % 10][0], speed_limit, (i % 10,), first)
             )
+    by_id = {lane.id: lane for lane in lanes}
     stop_lines = tuple(
-        StopLine(number, lane.id, np.vstack([lane.right[-1], lane.left[-1]]))
-        for number, lane in enumerate((each for each in lanes if each.id in (1, 4)), start=1)
+        StopLine(number, entry, np.vstack([by_id[entry].right[-1], by_id[entry].left[-1]]))
+        for number, entry in enumerate((1, 4), start=1)
     )
-    road = Road(
-        {lane.id: lane for lane in lanes}, default_speed_limit=speed_limit, stop_lines=stop_lines
-    )
+    road = Road(by_id, default_speed_limit=speed_limit, stop_lines=stop_lines)
     return Junction(road, path, begin, end, (x, y), 1.0 / kappa if kappa else float("inf"))
 
 
-def _quarter(kappa: float) -> tuple[tuple[float, float, float], ...]:
+def _quarter(kappa: float) -> Pieces:
     """A left turn by 90 degrees with the largest curvature `kappa`, 1/m, as pieces of `curve`."""
-    arc = 0.5 * pi / kappa - CLOTHOID_M
-    return (CLOTHOID_M, 0.0, kappa), (arc, kappa, kappa), (CLOTHOID_M, kappa, 0.0)
+    return left_turn(0.5 * pi / kappa - CLOTHOID_M, kappa, CLOTHOID_M)
 
 
 def _straight(

@@ -95,13 +95,11 @@ def free(p: Mapping[str, float]) -> Scenario:
 
     Curvature 0 is straight on.
     """
-    kappa, way = (
-        p["kappa_per_m"],
-        START_M + p["ego_kmh"] * KMH * (p["duration_s"] + SPARE_S) + BEYOND_M,
-    )
-    path = curve((START_M + 20.0, 0.0, 0.0), (20.0, 0.0, kappa), (way, kappa, kappa))
-    end = START_M + p["ego_kmh"] * KMH * p["duration_s"] - 5.0
-    return tested(p, path, one_lane(path, p["ego_kmh"] * KMH), [], {}, beyond=end)
+    v, kappa = p["ego_kmh"] * KMH, p["kappa_per_m"]
+    length = START_M + v * (p["duration_s"] + SPARE_S) + BEYOND_M
+    path = curve((START_M + 20.0, 0.0, 0.0), (20.0, 0.0, kappa), (length, kappa, kappa))
+    end = START_M + v * p["duration_s"] - 5.0
+    return tested(p, path, one_lane(path, v), [], {}, beyond=end)
 
 
 @_family(
@@ -212,9 +210,9 @@ def cut_in(p: Mapping[str, float]) -> Scenario:
         )
     t = grid(p["duration_s"])
     speed = lead_speed(t, TRIGGER_S, u, p["accel_mps2"], v if p["accel_mps2"] > 0.0 else 0.0)
-    way = travelled(t, speed)
+    driven_m = travelled(t, speed)
     front, half = car.axle_to_front, 0.5 * CAR[0]
-    x = START_M + front + v * TRIGGER_S + p["gap_m"] + half + way - u * TRIGGER_S
+    x = START_M + front + v * TRIGGER_S + p["gap_m"] + half + driven_m - u * TRIGGER_S
     y = -LANE_WIDTH_M * (1.0 - walked(t - TRIGGER_S, LANE_WIDTH_M, p["lateral_mps"], RAMP_S))
     cutter = moving("cutter", AgentKind.CAR, CAR, t, x, y, yaw=0.0)
     noticed = float(t[np.argmax(y + 0.5 * CAR[1] > -HALF_LANE)]) + p["reaction_s"]

@@ -16,6 +16,7 @@ are the same bit for bit:
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from math import inf
 from typing import TypeVar
 
@@ -26,7 +27,7 @@ from replan.core.errors import LogError
 from replan.logs.complete import ONE_LANE, REVERSES, road_along
 from replan.logs.observed import clipped
 from replan.logs.repair.detections import Detections, Repair
-from replan.logs.road import RoadSource
+from replan.logs.road import Goal, RoadSource
 from replan.logs.rules import TrafficLight
 from replan.logs.scenario import Scenario
 from replan.logs.states import Controls, OnboardPlan, Trajectory
@@ -59,30 +60,26 @@ def cut(scenario: Scenario, begin: float, end: float = inf) -> Scenario:
                 remedy="drive all of it",
             )
         part = f"after {begin:g} s" if end == inf else f"between {begin:g} s and {end:g} s"
-        what = f"no ego states {part}: they are from {ego.t[0]:g} s to {ego.t[-1]:g} s"
-        raise LogError(what, remedy="choose begin and end within the log")
+        raise LogError(
+            f"no ego states {part}: they are from {ego.t[0]:g} s to {ego.t[-1]:g} s",
+            remedy="choose begin and end within the log",
+        )
     t = np.r_[first, ego.t[(ego.t > first + CLOSE_S) & (ego.t < last - CLOSE_S)], last]
     moved = ego.resampled(t)
     columns = (getattr(moved, name) for name in ("x", "y", "yaw", "v", "a", "kappa"))
-    kept = _samples_within(scenario.tracks, begin, end)
-    tracks = scenario.tracks.taken(kept).shifted(-begin)
+    samples = _samples_within(scenario.tracks, begin, end)
+    tracks = scenario.tracks.taken(samples).shifted(-begin)
     goal = scenario.goal
     if goal is not None:
-        goal = goal.changed(
-            lambda one: replace(one, t=one.t and (one.t[0] - begin, one.t[1] - begin))
-        )
+        goal = goal.changed(partial(_earlier_goal, seconds=begin))
         past = ego.between(-inf, first)
         goal = goal.after(float(np.hypot(np.diff(past.x), np.diff(past.y)).sum()))
     controls = scenario.controls
     if controls is not None:
         keep = (controls.t >= begin) & (controls.t <= end)
-        shifted = (
-            controls.t[keep] - begin,
-            controls.steer[keep],
-            controls.throttle[keep],
-            controls.brake[keep],
-        )
-        controls = Controls(*shifted) if keep.any() else None
+        pedals = controls.throttle[keep], controls.brake[keep]
+        shifted = Controls(controls.t[keep] - begin, controls.steer[keep], *pedals)
+        controls = shifted if keep.any() else None
     # The newest plan at the begin
     newest = max(sum(plan.known <= begin for plan in scenario.onboard) - 1, 0)
     onboard = []
@@ -128,7 +125,9 @@ def cut(scenario: Scenario, begin: float, end: float = inf) -> Scenario:
         detections=None
         if scenario.detections is None
         else _detections(scenario.detections, begin, end),
-        repair=None if scenario.repair is None else _repair(scenario, begin, end, kept, tracks),
+        repair=None
+        if scenario.repair is None
+        else _repair(scenario.repair, scenario, begin, end, tracks),
     )
 
 
@@ -141,32 +140,29 @@ def _samples_within(tracks: Tracks, begin: float, end: float) -> BoolArray:
     return np.asarray(keep)
 
 
-def _detections(found: Detections, begin: float, end: float) -> Detections:
-    return found.between(begin - DETECTED_S, end + HISTORY_S).shifted(-begin)
+def _earlier_goal(goal: Goal, seconds: float) -> Goal:
+    return replace(goal, t=goal.t and (goal.t[0] - seconds, goal.t[1] - seconds))
 
 
-def _repair(
-    scenario: Scenario, begin: float, end: float, kept: BoolArray, tracks: Tracks
-) -> Repair:
-    """Cut the repair to the part, whose `tracks` are the samples `kept` of the scenario's."""
-    made = scenario.repair
-    assert made is not None
-    if made.tracks is not scenario.tracks:
-        kept = _samples_within(made.tracks, begin, end)
-        tracks = made.tracks.taken(kept).shifted(-begin)
-    changes = (
-        replace(each, begin=each.begin - begin, end=each.end - begin) for each in made.changes
-    )
+def _detections(detections: Detections, begin: float, end: float) -> Detections:
+    return detections.between(begin - DETECTED_S, end + HISTORY_S).shifted(-begin)
+
+
+def _repair(repair: Repair, scenario: Scenario, begin: float, end: float, part: Tracks) -> Repair:
+    """Cut the repair of a scenario to the part, whose tracks are `part`."""
+    samples = _samples_within(repair.tracks, begin, end)
+    own = repair.tracks is not scenario.tracks
+    changes = [
+        replace(change, begin=change.begin - begin, end=change.end - begin)
+        for change in repair.changes
+        if change.end - begin >= -DETECTED_S and change.begin - begin <= end - begin + HISTORY_S
+    ]
     return Repair(
-        _detections(made.detections, begin, end),
-        made.removed.taken(_samples_within(made.removed, begin, end)).shifted(-begin),
-        made.extended[kept],
-        tuple(
-            each
-            for each in changes
-            if each.end >= -DETECTED_S and each.begin <= end - begin + HISTORY_S
-        ),
-        tracks,
+        _detections(repair.detections, begin, end),
+        repair.removed.taken(_samples_within(repair.removed, begin, end)).shifted(-begin),
+        repair.extended[samples],
+        tuple(changes),
+        repair.tracks.taken(samples).shifted(-begin) if own else part,
     )
 
 
@@ -177,36 +173,42 @@ def in_nanoseconds(scenario: Scenario) -> Scenario:
     """Round the times of all samples to whole nanoseconds (1); LogError if two samples of one thing
     become one.
     """
+    repair, controls, detections = scenario.repair, scenario.controls, scenario.detections
     try:
-        tracks, onboard, made = _columns_over_time(scenario.tracks), [], scenario.repair
-        for plan in scenario.onboard:
-            known = float(_round_times(np.array(plan.known)))
-            onboard.append(plan if known == plan.known else replace(plan, known=known))
-        if made is not None:
-            changes = []
-            for each in made.changes:
-                begin, end = _round_times(np.array([each.begin, each.end])).tolist()
-                changes.append(replace(each, begin=begin, end=end))
-            shown = tracks if made.tracks is scenario.tracks else _columns_over_time(made.tracks)
-            made = Repair(
-                framed(made.detections),
-                _columns_over_time(made.removed),
-                made.extended,
-                tuple(changes),
-                shown,
-            )
+        tracks = _columns_over_time(scenario.tracks)
         return replace(
             scenario,
             ego=_columns_over_time(scenario.ego),
             tracks=tracks,
-            controls=None if scenario.controls is None else _columns_over_time(scenario.controls),
+            controls=None if controls is None else _columns_over_time(controls),
             lights=tuple(map(_columns_over_time, scenario.lights)),
-            onboard=tuple(onboard),
-            detections=None if scenario.detections is None else framed(scenario.detections),
-            repair=made,
+            onboard=tuple(
+                replace(plan, known=_round_time(plan.known)) for plan in scenario.onboard
+            ),
+            detections=None if detections is None else framed(detections),
+            repair=None if repair is None else _rounded_repair(repair, scenario, tracks),
         )
     except ValueError as error:
         raise LogError(f"in whole nanoseconds: {error}", remedy="keep one of the samples") from None
+
+
+def _rounded_repair(repair: Repair, scenario: Scenario, tracks: Tracks) -> Repair:
+    changes = (
+        replace(change, begin=_round_time(change.begin), end=_round_time(change.end))
+        for change in repair.changes
+    )
+    own = repair.tracks is not scenario.tracks
+    return Repair(
+        framed(repair.detections),
+        _columns_over_time(repair.removed),
+        repair.extended,
+        tuple(changes),
+        _columns_over_time(repair.tracks) if own else tracks,
+    )
+
+
+def _round_time(seconds: float) -> float:
+    return float(_round_times(np.array(seconds)))
 
 
 def _round_times(t: FloatArray) -> FloatArray:
@@ -218,11 +220,11 @@ def _columns_over_time(table: Timed) -> Timed:
     return table if np.array_equal(t, table.t) else replace(table, t=t)
 
 
-def framed(found: Detections) -> Detections:
+def framed(detections: Detections) -> Detections:
     """Round the frames of detections to whole nanoseconds (1).
 
     Frames at the same nanosecond become one.
     """
-    t, frames = _round_times(found.t), np.unique(_round_times(found.frames))
-    same = np.array_equal(t, found.t) and np.array_equal(frames, found.frames)
-    return found if same else replace(found, t=t, frames=frames)
+    t, frames = _round_times(detections.t), np.unique(_round_times(detections.frames))
+    same = np.array_equal(t, detections.t) and np.array_equal(frames, detections.frames)
+    return detections if same else replace(detections, t=t, frames=frames)

@@ -29,7 +29,7 @@ from replan.core.arrays import FloatArray
 from replan.logs.repair.detections import Detections
 from replan.logs.road import Goal, Road
 from replan.logs.scenario import Scenario
-from replan.logs.states import Controls, OnboardPlan, Trajectory
+from replan.logs.states import OnboardPlan, Trajectory
 from replan.logs.tracks import Tracks
 
 MIRRORED = "~mirrored"
@@ -44,23 +44,24 @@ def moved(scenario: Scenario, dx: float, dy: float, dyaw: float) -> Scenario:
     (1) of the world.
     """
     turn = _turn(dyaw)
-    ego, goal = scenario.ego, scenario.goal
 
-    def turned_boxes(one: Boxes) -> Boxes:
-        vx, vy = (np.column_stack([one.vx, one.vy]) @ turn).T
-        return replace(one, yaw=one.yaw + dyaw, vx=vx, vy=vy)
+    def turned_boxes(boxes: Boxes) -> Boxes:
+        vx, vy = (np.column_stack([boxes.vx, boxes.vy]) @ turn).T
+        return replace(boxes, yaw=boxes.yaw + dyaw, vx=vx, vy=vy)
 
-    if goal is not None:
-        goal = goal.changed(
-            lambda one: replace(one, yaw=one.yaw and (one.yaw[0] + dyaw, one.yaw[1] + dyaw))
-        )
+    def turned_trajectory(trajectory: Trajectory) -> Trajectory:
+        return replace(trajectory, yaw=trajectory.yaw + dyaw)
+
+    def turned_goal(goal: Goal) -> Goal:
+        return replace(goal, yaw=goal.yaw and (goal.yaw[0] + dyaw, goal.yaw[1] + dyaw))
+
     x, y = np.array(scenario.origin) @ turn
     turned = replace(
         scenario,
-        ego=replace(ego, yaw=ego.yaw + dyaw),
-        onboard=_with_trajectories(scenario.onboard, lambda one: replace(one, yaw=one.yaw + dyaw)),
+        ego=turned_trajectory(scenario.ego),
+        onboard=_with_trajectories(scenario.onboard, turned_trajectory),
         **_with_boxes(scenario, turned_boxes),
-        goal=goal,
+        goal=None if scenario.goal is None else scenario.goal.changed(turned_goal),
         origin=(float(x), float(y)),
     )
     return _with_points(turned, lambda points: points @ turn + np.array([dx, dy]))
@@ -88,27 +89,28 @@ def sampled(scenario: Scenario, rate_hz: float) -> Scenario:
     tracks, ego, moved = scenario.tracks, scenario.ego, scenario.tracks.motion
     times, columns = [], []
     for i in range(len(tracks)):
-        mine = tracks.samples(i)
-        old, t = tracks.t[mine], tracks.t[mine]
+        own = tracks.samples(i)
+        recorded, t = tracks.t[own], tracks.t[own]
         if not tracks.static[i]:  # static tracks are not resampled
-            t = _multiples(old, rate_hz)
-            k = np.searchsorted(old, t + 1e-9, side="right") - 1
-            kept = t[~(tracks.gap_after[mine][k] & (t > old[k] + 1e-9))]
-            t = kept if len(kept) else old[:1]
-        k = np.clip(np.searchsorted(old, t + 1e-9, side="right") - 1, 0, max(len(old) - 2, 0))
-        after = np.minimum(k + 1, len(old) - 1)
-        d = old[after] - old[k]
-        u = np.clip(np.divide(t - old[k], d, out=np.zeros(len(t)), where=d > 0.0), 0.0, 1.0)
+            t = _multiples(recorded, rate_hz)
+            k = np.searchsorted(recorded, t + 1e-9, side="right") - 1
+            outside_gaps = t[~(tracks.gap_after[own][k] & (t > recorded[k] + 1e-9))]
+            t = outside_gaps if len(outside_gaps) else recorded[:1]
+        k = np.clip(
+            np.searchsorted(recorded, t + 1e-9, side="right") - 1, 0, max(len(recorded) - 2, 0)
+        )
+        after = np.minimum(k + 1, len(recorded) - 1)
+        d = recorded[after] - recorded[k]
+        u = np.clip(np.divide(t - recorded[k], d, out=np.zeros(len(t)), where=d > 0.0), 0.0, 1.0)
         curves = [
             (1.0 + 2.0 * u) * (1.0 - u) ** 2 * p[k]
             + u * (1.0 - u) ** 2 * d * v[k]
             + u * u * (3.0 - 2.0 * u) * p[after]
             - u * u * (1.0 - u) * d * v[after]
-            for p, v in ((tracks.x[mine], moved.vx[mine]), (tracks.y[mine], moved.vy[mine]))
+            for p, v in ((tracks.x[own], moved.vx[own]), (tracks.y[own], moved.vy[own]))
         ]  # (3)
         lines = [
-            p[k] + u * (p[after] - p[k])
-            for p in (tracks.yaw[mine], tracks.vx[mine], tracks.vy[mine])
+            p[k] + u * (p[after] - p[k]) for p in (tracks.yaw[own], tracks.vx[own], tracks.vy[own])
         ]
         times.append(t)
         columns.append(np.stack([*curves, *lines]))
@@ -125,10 +127,10 @@ def sampled(scenario: Scenario, rate_hz: float) -> Scenario:
 
 def _multiples(t: FloatArray, rate_hz: float) -> FloatArray:
     """The multiples of 1 / `rate_hz` within the span of the times `t`."""
-    found = (
+    multiples = (
         np.arange(np.ceil(t[0] * rate_hz - 1e-6), np.floor(t[-1] * rate_hz + 1e-6) + 1.0) / rate_hz
     )
-    return np.clip(found, t[0], t[-1])
+    return np.clip(multiples, t[0], t[-1])
 
 
 def jittered(scenario: Scenario, size: float, seed: int = 0) -> Scenario:
@@ -145,8 +147,8 @@ def jittered(scenario: Scenario, size: float, seed: int = 0) -> Scenario:
 
     ego = scenario.ego
 
-    def noisy_boxes(one: Boxes) -> Boxes:
-        return replace(one, yaw=off(one.yaw), vx=off(one.vx), vy=off(one.vy))
+    def noisy_boxes(boxes: Boxes) -> Boxes:
+        return replace(boxes, yaw=off(boxes.yaw), vx=off(boxes.vx), vy=off(boxes.vy))
 
     noisy = replace(
         scenario,
@@ -165,11 +167,16 @@ def mirrored(scenario: Scenario) -> Scenario:
     right" in the expected decisions swap. Sizes, times, speeds, right of way, lights, and the name
     except for its suffix do not change.
     """
-    goal, controls, name, road = scenario.goal, scenario.controls, scenario.name, scenario.road
+    name, road = scenario.name, scenario.road
+    goal, controls = scenario.goal, scenario.controls
 
-    def flipped(one: Goal) -> Goal:
-        yaw = None if one.yaw is None else (-one.yaw[1], -one.yaw[0])
-        return replace(one, regions=tuple(region[::-1] * _FLIP for region in one.regions), yaw=yaw)
+    def flipped(goal: Goal) -> Goal:
+        yaw = None if goal.yaw is None else (-goal.yaw[1], -goal.yaw[0])
+        regions = tuple(region[::-1] * _FLIP for region in goal.regions)
+        return replace(goal, regions=regions, yaw=yaw)
+
+    def flipped_boxes(boxes: Boxes) -> Boxes:
+        return replace(boxes, y=-boxes.y, yaw=-boxes.yaw, vy=-boxes.vy)
 
     lanes = {
         lane.id: replace(
@@ -193,7 +200,7 @@ def mirrored(scenario: Scenario) -> Scenario:
             replace(line, points=line.points[::-1] * _FLIP) for line in road.stop_lines
         ),
         crosswalks=tuple(
-            replace(each, polygon=each.polygon[::-1] * _FLIP) for each in road.crosswalks
+            replace(walk, polygon=walk.polygon[::-1] * _FLIP) for walk in road.crosswalks
         ),
         areas=tuple(area[::-1] * _FLIP for area in road.areas),
     )
@@ -210,12 +217,10 @@ def mirrored(scenario: Scenario) -> Scenario:
         name=name.removesuffix(MIRRORED) if name.endswith(MIRRORED) else name + MIRRORED,
         ego=mirrored_trajectory(scenario.ego),
         onboard=_with_trajectories(scenario.onboard, mirrored_trajectory),
-        **_with_boxes(scenario, lambda one: replace(one, y=-one.y, yaw=-one.yaw, vy=-one.vy)),
+        **_with_boxes(scenario, flipped_boxes),
         road=road,
         goal=None if goal is None else goal.changed(flipped),
-        controls=None
-        if controls is None
-        else Controls(controls.t, -controls.steer, controls.throttle, controls.brake),
+        controls=None if controls is None else replace(controls, steer=-controls.steer),
         origin=(scenario.origin[0], -scenario.origin[1]),
         metadata=metadata,
     )
@@ -242,9 +247,12 @@ def _with_points(scenario: Scenario, points: _Points) -> Scenario:
     """Apply `points` to all points `(k, 2)` of the scenario, and change nothing else."""
     goal = scenario.goal
 
-    def elsewhere(one: Placed) -> Placed:
-        x, y = points(np.column_stack([one.x, one.y])).T
-        return replace(one, x=x, y=y)
+    def elsewhere(placed: Placed) -> Placed:
+        x, y = points(np.column_stack([placed.x, placed.y])).T
+        return replace(placed, x=x, y=y)
+
+    def goal_elsewhere(goal: Goal) -> Goal:
+        return replace(goal, regions=tuple(map(points, goal.regions)))
 
     # Before the ego: the order of the random numbers in `jittered`
     boxes = _with_boxes(scenario, elsewhere)
@@ -254,27 +262,27 @@ def _with_points(scenario: Scenario, points: _Points) -> Scenario:
         onboard=_with_trajectories(scenario.onboard, elsewhere),
         **boxes,
         road=placed_road(scenario.road, points),
-        goal=None
-        if goal is None
-        else goal.changed(lambda one: replace(one, regions=tuple(map(points, one.regions)))),
+        goal=None if goal is None else goal.changed(goal_elsewhere),
     )
 
 
-def _with_boxes(scenario: Scenario, changed: Callable[[Any], Any]) -> dict[str, Any]:
+def _with_boxes(scenario: Scenario, change: Callable[[Any], Any]) -> dict[str, Any]:
     """Apply `changed` to all boxes of a scenario: tracks, detections and repair.
 
     Return them as fields.
     """
-    tracks, found, made = changed(scenario.tracks), scenario.detections, scenario.repair
-    if made is not None:
-        own = tracks if made.tracks is scenario.tracks else changed(made.tracks)
-        made = replace(
-            made, detections=changed(made.detections), removed=changed(made.removed), tracks=own
+    tracks, detections, repair = change(scenario.tracks), scenario.detections, scenario.repair
+    if repair is not None:
+        repair = replace(
+            repair,
+            detections=change(repair.detections),
+            removed=change(repair.removed),
+            tracks=tracks if repair.tracks is scenario.tracks else change(repair.tracks),
         )
     return {
         "tracks": tracks,
-        "detections": None if found is None else changed(found),
-        "repair": made,
+        "detections": None if detections is None else change(detections),
+        "repair": repair,
     }
 
 
@@ -293,6 +301,6 @@ def placed_road(road: Road, points: _Points) -> Road:
             for i, lane in road.lanes.items()
         },
         stop_lines=tuple(replace(line, points=points(line.points)) for line in road.stop_lines),
-        crosswalks=tuple(replace(each, polygon=points(each.polygon)) for each in road.crosswalks),
+        crosswalks=tuple(replace(walk, polygon=points(walk.polygon)) for walk in road.crosswalks),
         areas=tuple(map(points, road.areas)),
     )

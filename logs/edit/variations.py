@@ -149,11 +149,11 @@ def varied(scenario: Scenario, agents: Sequence[str], values: Mapping[str, float
     agents = agents or tuple(
         VARIATIONS[name].inserts for name in ordered if VARIATIONS[name].inserts
     )
-    was = now = scenario
+    before = now = scenario
     for name, value in ordered.items():
         now = VARIATIONS[name](now, agents, value)
-        was = now if VARIATIONS[name].inserts else was
-    now = replace(now, tracks=continued(was, now), ego=start_of(now.ego))
+        before = now if VARIATIONS[name].inserts else before
+    now = replace(now, tracks=continued(before, now), ego=start_of(now.ego))
     check_start(scenario, now)
     changes = ", ".join(
         f"{name} {VARIATIONS[name].shown(value)}" for name, value in ordered.items()
@@ -167,7 +167,7 @@ def varied(scenario: Scenario, agents: Sequence[str], values: Mapping[str, float
         "A varied track continues straight before the begin and after the end of its recording.",
     )
     entries = {f"{VARIED}.{name}": repr(float(value)) for name, value in ordered.items()}
-    kept = {key: text for key, text in scenario.metadata.items() if key != "expected_decisions"}
+    metadata = {key: text for key, text in scenario.metadata.items() if key != "expected_decisions"}
     # No sample before log time 0
     early = -min(0, now.start_ns + round(1e9 * float(now.tracks.t.min(initial=0.0))))
     suffix = ",".join(f"{name}={value:.10g}" for name, value in ordered.items())
@@ -179,7 +179,7 @@ def varied(scenario: Scenario, agents: Sequence[str], values: Mapping[str, float
         onboard=(),
         tags=tuple(dict.fromkeys((*(tag for tag in scenario.tags if tag != "recorded"), VARIED))),
         metadata={
-            **kept,
+            **metadata,
             f"{VARIED}.of": scenario.name,
             f"{VARIED}.agents": json.dumps(list(agents)),
             **entries,
@@ -230,11 +230,11 @@ def ego_speed(scenario: Scenario, agents: Sequence[str], value: float) -> Scenar
     return replace(scenario, ego=replace(start, v=value * start.v, a=np.zeros(1)))
 
 
-def check_start(was: Scenario, now: Scenario) -> None:
-    """Raise LogError if the ego of `now` starts in an impossible state, or in an agent that `was`
-    does not touch.
+def check_start(original: Scenario, varied_scenario: Scenario) -> None:
+    """Raise LogError if the ego of a varied scenario starts in an impossible state, or in an agent
+    that it does not touch in the original.
     """
-    start, before, road = now.ego.state(0), was.ego.state(0), now.road
+    start, before, road = varied_scenario.ego.state(0), original.ego.state(0), varied_scenario.road
     if road.is_drivable(before.x, before.y) and not road.is_drivable(start.x, start.y):
         raise LogError("the ego would start off the road", remedy="keep ego_start on it")
     lateral = start.v**2 * abs(start.kappa)
@@ -243,7 +243,9 @@ def check_start(was: Scenario, now: Scenario) -> None:
             f"the ego would start at {start.v:.1f} m/s in a curve of {1.0 / abs(start.kappa):.0f} "
             "m radius"
         )
-    stands_in = [name for name in _touched_agents(now) if name not in _touched_agents(was)]
+    stands_in = [
+        name for name in _touched_agents(varied_scenario) if name not in _touched_agents(original)
+    ]
     if stands_in:
         raise LogError(f"{stands_in[0]} would stand in the ego at the start")
 
@@ -253,8 +255,8 @@ def _touched_agents(scenario: Scenario) -> list[str]:
     x, y = start.ahead(car.axle_to_center)
     others = scenario.tracks.truth(start.t)
     boxes = np.column_stack([others.x, others.y, others.yaw, others.length, others.width]).tolist()
-    found = [overlap(x, y, start.yaw, car.length, car.width, *box) for box in boxes]
-    return [name for name, touches in zip(others.ids, found, strict=True) if touches]
+    overlaps = [overlap(x, y, start.yaw, car.length, car.width, *box) for box in boxes]
+    return [name for name, touches in zip(others.ids, overlaps, strict=True) if touches]
 
 
 def places(tracks: Tracks, agents: Sequence[str]) -> list[int]:
@@ -263,16 +265,16 @@ def places(tracks: Tracks, agents: Sequence[str]) -> list[int]:
     """
     missing = [agent for agent in agents if agent not in tracks.ids]
     if missing or not agents:
-        what = f"no agent is called '{missing[0]}'" if missing else "no agent is named"
-        raise ConfigError(f"{what}; `replan vary LOG --list-agents` lists them")
+        reason = f"no agent is called '{missing[0]}'" if missing else "no agent is named"
+        raise ConfigError(f"{reason}; `replan vary LOG --list-agents` lists them")
     return [tracks.ids.index(agent) for agent in agents]
 
 
-def _theirs(tracks: Tracks, agents: Sequence[str]) -> BoolArray:
-    mine = np.zeros(len(tracks.t), np.bool_)
+def _samples_of(tracks: Tracks, agents: Sequence[str]) -> BoolArray:
+    is_chosen = np.zeros(len(tracks.t), np.bool_)
     for i in places(tracks, agents):
-        mine[tracks.samples(i)] = True
-    return mine
+        is_chosen[tracks.samples(i)] = True
+    return is_chosen
 
 
 def _with_samples(tracks: Tracks, samples: Mapping[int, FloatArray]) -> Tracks:
@@ -313,15 +315,17 @@ def in_time(scenario: Scenario, agents: Sequence[str], value: float) -> Scenario
     """The scenario with the agents shifted in time (1)."""
     tracks = scenario.tracks
     # (1)
-    return replace(scenario, tracks=replace(tracks, t=tracks.t + value * _theirs(tracks, agents)))
+    return replace(
+        scenario, tracks=replace(tracks, t=tracks.t + value * _samples_of(tracks, agents))
+    )
 
 
 def in_speed(scenario: Scenario, agents: Sequence[str], value: float) -> Scenario:
     """The scenario with the agents faster or slower (2)."""
-    tracks, mine = scenario.tracks, _theirs(scenario.tracks, agents)
+    tracks, is_chosen = scenario.tracks, _samples_of(scenario.tracks, agents)
     speed = np.hypot(tracks.motion.vx, tracks.motion.vy)
-    times, which = np.unique(tracks.t[mine], return_inverse=True)
-    mean = np.bincount(which, weights=speed[mine]) / np.bincount(which)
+    times, moment = np.unique(tracks.t[is_chosen], return_inverse=True)
+    mean = np.bincount(moment, weights=speed[is_chosen]) / np.bincount(moment)
     slow = min(max(0.5 * float(mean.max()), STANDING_MPS), GOING_MPS)
     moves = 0.5 * (mean[1:] + mean[:-1]) >= slow
     # (2)
@@ -331,16 +335,18 @@ def in_speed(scenario: Scenario, agents: Sequence[str], value: float) -> Scenari
     changed = {}
     for i in places(tracks, agents):
         rows, gaps = _samples(tracks, i), tracks.gap_after[tracks.samples(i)]
-        own = np.interp(rows[:, 0], times, clock)
+        new_times = np.interp(rows[:, 0], times, clock)
         rows[:, 4:] *= np.where(speed[tracks.samples(i)] >= slow, value, 1.0)[:, None]
-        spacing, rows = np.diff(rows[:, 0]), np.column_stack([own, rows[:, 1:]])
+        spacing, rows = np.diff(rows[:, 0]), np.column_stack([new_times, rows[:, 1:]])
         # More samples between two that are further apart than before, but not in gaps
         if len(rows) > 1:
-            parts = np.where(gaps[:-1], 1, np.ceil(np.diff(own) / spacing - 1e-9)).astype(np.int64)
+            parts = np.where(gaps[:-1], 1, np.ceil(np.diff(new_times) / spacing - 1e-9)).astype(
+                np.int64
+            )
             fine = [k + np.arange(n) / n for k, n in enumerate(np.maximum(parts, 1))]
-            at = np.concatenate([*fine, [len(rows) - 1.0]])
+            positions = np.concatenate([*fine, [len(rows) - 1.0]])
             rows = np.column_stack(
-                [np.interp(at, np.arange(len(rows)), column) for column in rows.T]
+                [np.interp(positions, np.arange(len(rows)), column) for column in rows.T]
             )
         changed[i] = rows
     return replace(scenario, tracks=_with_samples(tracks, changed))
@@ -348,28 +354,34 @@ def in_speed(scenario: Scenario, agents: Sequence[str], value: float) -> Scenari
 
 def sideways(scenario: Scenario, agents: Sequence[str], value: float) -> Scenario:
     """The scenario with the agents shifted to the side (3)."""
-    tracks, ego, mine = scenario.tracks, scenario.ego, _theirs(scenario.tracks, agents)
+    tracks, ego, is_chosen = scenario.tracks, scenario.ego, _samples_of(scenario.tracks, agents)
     # Per agent: least distance from the ego, m, and course there (heading if it stands), rad
     nearest = []
     for i in places(tracks, agents):
         rows = _samples(tracks, i)
         to_x = rows[:, 1] - np.interp(rows[:, 0], ego.t, ego.x)
         to_y = rows[:, 2] - np.interp(rows[:, 0], ego.t, ego.y)
-        away = np.hypot(to_x, to_y)
-        at = int(np.argmin(away))
-        near = np.flatnonzero(np.abs(rows[:, 0] - rows[at, 0]) <= COURSE_S)
+        distances = np.hypot(to_x, to_y)
+        closest = int(np.argmin(distances))
+        near = np.flatnonzero(np.abs(rows[:, 0] - rows[closest, 0]) <= COURSE_S)
         dx, dy = (rows[near[-1], 1:3] - rows[near[0], 1:3]).tolist()
         nearest.append(
-            (float(away[at]), atan2(dy, dx) if hypot(dx, dy) >= COURSE_M else float(rows[at, 3]))
+            (
+                float(distances[closest]),
+                atan2(dy, dx) if hypot(dx, dy) >= COURSE_M else float(rows[closest, 3]),
+            )
         )
     _, course = min(nearest)
-    x, y = tracks.x - value * sin(course) * mine, tracks.y + value * cos(course) * mine  # (3)
+    x, y = (
+        tracks.x - value * sin(course) * is_chosen,
+        tracks.y + value * cos(course) * is_chosen,
+    )  # (3)
     return replace(scenario, tracks=replace(tracks, x=x, y=y))
 
 
 def removed(scenario: Scenario, agents: Sequence[str], value: float) -> Scenario:
     """Return the scenario without the agents; the value is ignored."""
-    return replace(scenario, tracks=scenario.tracks.taken(~_theirs(scenario.tracks, agents)))
+    return replace(scenario, tracks=scenario.tracks.taken(~_samples_of(scenario.tracks, agents)))
 
 
 def copied(scenario: Scenario, agents: Sequence[str], value: float) -> Scenario:
@@ -416,24 +428,24 @@ def standing_car(scenario: Scenario, agents: Sequence[str], value: float) -> Sce
     )
 
 
-def continued(was: Scenario, now: Scenario) -> Tracks:
-    """Return the tracks of `now`; tracks shifted in time since `was` are extended if the log's
-    begin or end cut them.
+def continued(original: Scenario, changed_scenario: Scenario) -> Tracks:
+    """Return the tracks of a changed scenario; tracks that are shifted in time are extended if the
+    log's begin or end cut them in the original.
 
-    `was` holds the inserted road users, too; a copy is compared with its original. Samples far
+    `original` holds the inserted road users, too; a copy is compared with its original. Samples far
     outside the log are removed.
     """
-    tracks, end, changed = now.tracks, now.duration, {}
-    known = {name: i for i, name in enumerate(was.tracks.ids)}
+    tracks, end, changed = changed_scenario.tracks, changed_scenario.duration, {}
+    indices = {name: i for i, name in enumerate(original.tracks.ids)}
     for i in np.flatnonzero(~tracks.static).tolist():
         name = tracks.ids[i]
-        recorded = was.tracks.t[
-            was.tracks.samples(known[name if name in known else name.removeprefix(COPY)])
+        recorded = original.tracks.t[
+            original.tracks.samples(indices[name if name in indices else name.removeprefix(COPY)])
         ]
-        rows, mine = _samples(tracks, i), tracks.samples(i)
+        rows, samples = _samples(tracks, i), tracks.samples(i)
         if np.array_equal(recorded, rows[:, 0]):
             continue
-        vx, vy = tracks.motion.vx[mine], tracks.motion.vy[mine]
+        vx, vy = tracks.motion.vx[samples], tracks.motion.vy[samples]
         if recorded[0] <= MAX_AGE_S and rows[0, 0] > 0.0:
             before = np.arange(-BEFORE_S, rows[0, 0] - 1e-9, RATE_S)
             rows = np.vstack([_straight(rows[0], vx[0], vy[0], before), rows])
@@ -451,10 +463,9 @@ def _straight(row: FloatArray, vx: float, vy: float, t: FloatArray) -> FloatArra
     stands.
     """
     vx, vy = (vx, vy) if hypot(vx, vy) >= STANDING_MPS else (0.0, 0.0)
-    one, late = np.ones(len(t)), t - row[0]
-    return np.column_stack(
-        [t, row[1] + vx * late, row[2] + vy * late, row[3] * one, vx * one, vy * one]
-    )
+    begin, x, y, yaw, _, _ = row
+    fixed = (np.full(len(t), number) for number in (yaw, vx, vy))
+    return np.column_stack([t, x + vx * (t - begin), y + vy * (t - begin), *fixed])
 
 
 _TABLE = (
@@ -527,5 +538,7 @@ _TABLE = (
         of="ego",
     ),
 )
-VARIATIONS: Mapping[str, Variation] = MappingProxyType({each.name: each for each in _TABLE})
+VARIATIONS: Mapping[str, Variation] = MappingProxyType(
+    {variation.name: variation for variation in _TABLE}
+)
 """The variations by name, in the order in which they are applied."""

@@ -66,7 +66,7 @@ def test_one_drive_of_the_built_in_suite_is_made_of_detections_and_the_same_from
     driven = LogSource("raw/crossing").read()
     assert driven.repair is not None
     assert any("Repair joined" in note for note in driven.notes)
-    (path,) = synthesise([raw.CROSSING], tmp_path, {})
+    (path,) = synthesise([raw.crossing], tmp_path, {})
     read = read_log(path)
     assert read.repair is not None
     alike(driven, read, 1e-9)
@@ -76,7 +76,7 @@ def test_one_drive_of_the_built_in_suite_is_made_of_detections_and_the_same_from
 def test_a_bag_holds_the_same_road_users(tmp_path: Path) -> None:
     short = {"duration_s": 17.0}
     one, two = (
-        next(iter(synthesise([raw.CROSSING], tmp_path / name, short, ROS2)))
+        next(iter(synthesise([raw.crossing], tmp_path / name, short, ROS2)))
         for name in ("one", "two")
     )
     assert [each.read_bytes() for each in one.glob("*.mcap")] == [

@@ -78,27 +78,8 @@ def overlap(
     width2: float,
 ) -> bool:
     """Whether two boxes touch or overlap (1)."""
-    return overlap_turned(
-        x1, y1, cos(yaw1), sin(yaw1), length1, width1, x2, y2, cos(yaw2), sin(yaw2), length2, width2
-    )
-
-
-@inner_kernel
-def overlap_turned(
-    x1: float,
-    y1: float,
-    c1: float,
-    s1: float,
-    length1: float,
-    width1: float,
-    x2: float,
-    y2: float,
-    c2: float,
-    s2: float,
-    length2: float,
-    width2: float,
-) -> bool:
-    """`overlap` of boxes whose headings have the cosines c1, c2 and the sines s1, s2."""
+    c1, s1 = cos(yaw1), sin(yaw1)
+    c2, s2 = cos(yaw2), sin(yaw2)
     return axis_gap(x1, y1, c1, s1, length1, width1, x2, y2, c2, s2, length2, width2) <= 0.0
 
 
@@ -117,9 +98,9 @@ def axis_gap(
     length2: float,
     width2: float,
 ) -> float:
-    """A lower bound of the distance of two boxes (see `overlap_turned`), m.
+    """A lower bound of the distance of two boxes, m; not positive where they overlap (1).
 
-    Not positive where they overlap (1).
+    c1, c2 are the cosines of their headings, s1, s2 the sines.
     """
     dx, dy = x2 - x1, y2 - y1
     gap = hypot(dx, dy) - 0.5 * (hypot(length1, width1) + hypot(length2, width2))

@@ -38,6 +38,7 @@ from replan.logs.catalogue.family_parts import (
     grid,
     moving,
     parked,
+    past_parked_cars,
     pedestrian_across,
     straight_path,
     tenths,
@@ -176,23 +177,9 @@ def nudge(p: Mapping[str, float]) -> Scenario:
     ]
     end = station + beside + run + 60.0
     path = weaving(end + BEYOND_M, shifts)
-    duration = tenths((end - START_M) / v)
-    driven = drive(path, speed=v, duration=duration)
-    straight = curve((path.length, 0.0, 0.0))
-    cars, road = (
-        [parked("parked", station, edge - 0.5 * CAR[1])],
-        two_lanes(straight, v, ego_on_right=True),
-    )
+    cars = [parked("parked", station, edge - 0.5 * CAR[1])]
     metadata = expects(parked=(DecisionKind.NUDGE_LEFT,))
-    return finished(
-        straight,
-        driven,
-        cars,
-        road,
-        duration,
-        edges=(-HALF_LANE, 3.0 * HALF_LANE),
-        metadata=metadata,
-    )
+    return past_parked_cars(path, cars, v, tenths((end - START_M) / v), metadata)
 
 
 @family(

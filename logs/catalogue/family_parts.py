@@ -26,7 +26,7 @@ import numpy as np
 
 from replan.core.arrays import FloatArray
 from replan.logs.agents import AgentKind
-from replan.logs.catalogue.roads import LANE_WIDTH_M, CurveSamples, curve, stretch
+from replan.logs.catalogue.roads import LANE_WIDTH_M, CurveSamples, curve, stretch, two_lanes
 from replan.logs.plan import DecisionKind
 from replan.logs.road import Goal, Road
 from replan.logs.scenario import Scenario
@@ -265,6 +265,28 @@ def pedestrian_across(p: Mapping[str, float], x: float) -> tuple[Agent, float]:
 def straight_path(speed: float, duration: float) -> CurveSamples:
     """A straight path along x that is long enough for a drive of `duration` s at `speed` m/s."""
     return curve((speed * (duration + SPARE_S) + BEYOND_M, 0.0, 0.0))
+
+
+def past_parked_cars(
+    path: CurveSamples,
+    cars: Sequence[Agent],
+    speed: float,
+    duration: float,
+    metadata: Mapping[str, str],
+) -> Scenario:
+    """The scenario of a drive at a constant speed past parked cars, on the right of two lanes."""
+    driven = drive(path, speed=speed, duration=duration)
+    straight = curve((path.length, 0.0, 0.0))
+    road = two_lanes(straight, speed, ego_on_right=True)
+    return finished(
+        straight,
+        driven,
+        cars,
+        road,
+        duration,
+        edges=(-HALF_LANE, 3.0 * HALF_LANE),
+        metadata=metadata,
+    )
 
 
 def finished(

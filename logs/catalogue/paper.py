@@ -24,12 +24,13 @@ from replan.logs.catalogue.family_parts import (
     drive,
     finished,
     parked,
+    past_parked_cars,
     pedestrian_across,
     straight_path,
     tenths,
     waiting,
 )
-from replan.logs.catalogue.roads import curve, left_turn, one_lane, opposite, two_lanes, weaving
+from replan.logs.catalogue.roads import curve, left_turn, one_lane, opposite, weaving
 from replan.logs.plan import DecisionKind
 from replan.logs.scenario import Scenario
 from replan.logs.vehicle import VehicleParameters
@@ -97,22 +98,9 @@ def static_obstacles(p: Mapping[str, float]) -> Scenario:
     last = stations[2] + flat
     path = weaving(last + run + 40.0 + BEYOND_M, [*past, (last, last + run, 0.0)])
     duration = tenths((stations[2] + spacing + 40.0 - START_M) / v)
-    driven = drive(path, speed=v, duration=duration)
-    straight = curve((path.length, 0.0, 0.0))
     left, right = (DecisionKind.NUDGE_LEFT,), (DecisionKind.NUDGE_RIGHT,)
-    road, metadata = (
-        two_lanes(straight, v, ego_on_right=True),
-        expects(right_1=left, left=right, right_2=left),
-    )
-    return finished(
-        straight,
-        driven,
-        cars,
-        road,
-        duration,
-        edges=(-HALF_LANE, 3.0 * HALF_LANE),
-        metadata=metadata,
-    )
+    metadata = expects(right_1=left, left=right, right_2=left)
+    return past_parked_cars(path, cars, v, duration, metadata)
 
 
 @family(

@@ -45,7 +45,7 @@ from replan.logs.road import Road
 from replan.logs.route import ASIDE_M, ASKEW_RAD, BEHIND_M, on_lane
 from replan.logs.rules import RED, Colour, TrafficLight
 from replan.logs.scenario import Scenario
-from replan.logs.shapes import overlap_turned
+from replan.logs.shapes import axis_gap
 from replan.logs.states import EgoState
 from replan.logs.tracks import Tracks
 from replan.metrics.priority import SERIOUS_S
@@ -337,7 +337,9 @@ def _wait(
             x, y, yaw = paths.x[k] + u * dx, paths.y[k] + u * dy, paths.yaw[k] + u * turn
             c, sine, free = cos(yaw), sin(yaw), True
             for b in range(boxes.shape[1]):
-                if (xs[b] - x) ** 2 + (ys[b] - y) ** 2 <= near * near and overlap_turned(
+                if (xs[b] - x) ** 2 + (ys[b] - y) ** 2 > near * near:
+                    continue
+                gap = axis_gap(
                     x,
                     y,
                     c,
@@ -350,7 +352,8 @@ def _wait(
                     sines[b],
                     ego_length,
                     ego_width,
-                ):
+                )
+                if gap <= 0.0:
                     free = False
                     meets = meets or (by_right[b] and abs(times[b] - tau) <= SERIOUS_S)
             if free and not np.isfinite(place):

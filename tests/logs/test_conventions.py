@@ -51,7 +51,9 @@ def along(
 
 @given(RATES, st.floats(-3.0, 3.0), st.floats(0.02, 0.3), st.floats(0.0, 0.02))
 @settings(max_examples=20, deadline=None)
-def test_a_right_log_is_not_touched(rate: float, yaw0: float, turn: float, noise: float) -> None:
+def test_a_consistent_log_is_not_changed(
+    rate: float, yaw0: float, turn: float, noise: float
+) -> None:
     ego, rng = arc(rate, yaw0, turn), np.random.default_rng(1)
     shaken = replace(
         ego,
@@ -144,7 +146,7 @@ def test_velocities_in_own_axes_are_rotated_and_noted(
     assert passed(found, COMPARISONS) is found
 
 
-def test_the_frame_is_shown_by_those_who_leave_the_x_axis() -> None:
+def test_the_frame_of_velocities_is_known_from_agents_off_the_x_axis() -> None:
     """Most cars drive along x, where both frames are the same; two walkers cross."""
     ego = arc(10.0, 0.0, 1e-6)
     cars = [along(ego, 15.0 * k, name=str(k), vx=ego.v, vy=0.0 * ego.v) for k in range(1, 9)]
@@ -183,7 +185,7 @@ def test_the_ego_among_the_agents_is_left_out(
     )
 
 
-def test_who_is_near_the_ego_stays() -> None:
+def test_agents_near_the_ego_stay() -> None:
     ego = arc(10.0)
     before, after = along(ego, -3.4, name="follows"), along(ego, 6.3, name="leads")
     beside = along(ego, 1.4, 1.9, name="beside")

@@ -121,7 +121,7 @@ def test_reversals_do_not_depend_on_the_frame(turn: float, shift: float, mirrore
     assert reversals(moved) == reversals(here)
 
 
-def test_what_is_no_reverse_gear_does_not_end_the_lane() -> None:
+def test_motion_without_reverse_gear_does_not_end_the_lane() -> None:
     """A roll back of 0.7 m, a correction of the localisation by 4 m at speed, a drift of 3 m within
     5 min at rest.
     """

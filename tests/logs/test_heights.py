@@ -65,7 +65,7 @@ def test_a_road_user_that_comes_down_to_the_way_stays() -> None:
 
 
 @pytest.mark.parametrize("z", [0.0, 48.0, -32.0])
-def test_one_height_for_all_is_none(z: float) -> None:
+def test_equal_heights_of_all_are_not_used(z: float) -> None:
     assert kept(way(base=3.0), crossing(z, "a"), along(np.full(40, z), "b")) == ({"a", "b"}, [])
 
 
@@ -91,7 +91,7 @@ def test_boxes_without_a_name_stay() -> None:
     assert kept(way(), (boxes, yaw, names), crossing(0.75, "car"))[0] == {"", "car"}
 
 
-def test_what_is_far_from_the_way_stays() -> None:
+def test_road_users_far_from_the_way_stay() -> None:
     boxes, yaw, names = crossing(9.0, "far")
     boxes[:, 0] += 200.0
     assert kept(way(), (boxes, yaw, names), crossing(0.75, "car"))[0] == {"far", "car"}

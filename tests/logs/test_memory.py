@@ -66,7 +66,7 @@ def test_frames_come_back_to_the_bit(driven: Drive, whole: int) -> None:
         store[len(frames)]
 
 
-def test_what_is_large_is_not_in_memory(driven: Drive) -> None:
+def test_large_arrays_are_not_in_memory(driven: Drive) -> None:
     small = light(stored(tuple(driven.trace.frames), 0))
     assert not any(isinstance(item, Graph) for frame in small for item in frame.plan.internals)
     assert all(
@@ -129,7 +129,7 @@ def come_and_go(seed: int, count: int = 12) -> Tracks:
 
 
 @given(st.integers(0, 10_000), st.floats(-2.0, UNTIL_S))
-def test_who_is_perceived_and_how_is_the_same_to_the_bit(seed: int, begin: float) -> None:
+def test_perceived_agents_are_equal_to_the_bit(seed: int, begin: float) -> None:
     whole, around = come_and_go(seed), NearbyTracks(few=0)
     for time in begin + np.array([0.0, 0.05, 0.7, 3.0, SPAN_S - 0.01, SPAN_S, 3.0 * SPAN_S, 1.0]):
         part = around.of(whole, float(time), float(time))
@@ -138,7 +138,7 @@ def test_who_is_perceived_and_how_is_the_same_to_the_bit(seed: int, begin: float
 
 
 @given(st.integers(0, 10_000), st.floats(-2.0, UNTIL_S))
-def test_who_is_touched_is_the_same(seed: int, time: float) -> None:
+def test_contacts_with_a_part_are_those_with_the_whole(seed: int, time: float) -> None:
     whole = come_and_go(seed)
     part = NearbyTracks(few=0).of(whole, time, time)
     for agent in whole.truth(time).ids[:3]:
@@ -161,7 +161,7 @@ def test_a_part_is_kept_for_its_span_and_holds_no_more_than_around_it() -> None:
     assert NearbyTracks().of(part, 50.0, 50.0) is part
 
 
-def test_some_of_those_around_now_are_some_of_the_whole() -> None:
+def test_a_selection_of_nearby_tracks_is_that_of_the_whole() -> None:
     whole = come_and_go(2)
     now = whole.taken(whole.t >= 60.0)
     recent = Recent(

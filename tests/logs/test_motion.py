@@ -100,7 +100,7 @@ def test_a_hard_brake_is_smeared_over_less_than_a_second(
 @pytest.mark.parametrize(("sigma", "error"), [(0.0, 0.2), (0.05, 1.2)])
 @pytest.mark.parametrize("logged", [False, True])
 @pytest.mark.parametrize("rate", [10.0, 50.0])
-def test_a_braking_leads_deceleration_is_found(
+def test_the_deceleration_of_a_braking_lead_is_estimated(
     rate: float, sigma: float, error: float, logged: bool
 ) -> None:
     """5 m/s2 for 3 s, half a second away from its begin and end."""
@@ -119,7 +119,7 @@ def test_a_braking_leads_deceleration_is_found(
 @pytest.mark.parametrize("rate", [5.0, 10.0, 20.0])
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize(("sigma", "error"), [(0.0, 0.01), (0.05, 0.12)])
-def test_the_yaw_rate_of_who_drives_a_circle_is_found(
+def test_the_yaw_rate_on_a_circle_is_estimated(
     rate: float, side: float, sigma: float, error: float
 ) -> None:
     """8 m/s on 20 m: 0.4 rad/s, half a second away from the track's ends.
@@ -140,7 +140,9 @@ def test_the_yaw_rate_of_who_drives_a_circle_is_found(
     [(AgentKind.CAR, 10.0, 6.0), (AgentKind.PEDESTRIAN, 1.5, 3.75), (AgentKind.BICYCLE, 4.0, 3.0)],
 )
 @pytest.mark.parametrize("sigma", [0.0, 0.05])
-def test_who_stops_stands(kind: AgentKind, v: float, decel: float, sigma: float) -> None:
+def test_a_stopped_vehicle_has_no_velocity(
+    kind: AgentKind, v: float, decel: float, sigma: float
+) -> None:
     t = times(10.0, 12.0)
     x, _, _ = braking(t, v, 4.0, decel)
     found = noisy(tracks(track("a", t, x, np.zeros(len(t)), kind=kind)), sigma, 4).motion

@@ -59,11 +59,11 @@ def test_the_inferred_span_begins_with_the_first_and_ends_with_one_of_them(
     assert spans_of(*given_spans[::-1]) == ((first, last),)  # in any order of agents
 
 
-def test_a_straggler_does_not_stand_for_nine_who_vanish_together() -> None:
+def test_a_straggler_does_not_extend_a_span_in_which_nine_vanish_together() -> None:
     assert spans_of(*[(0.0, 3.0)] * 9, (0.0, 9.0)) == ((0.0, 3.0),)
 
 
-def test_who_leave_one_by_one_leave_a_recording_that_goes_on() -> None:
+def test_tracks_that_end_one_by_one_do_not_end_the_recording() -> None:
     assert spans_of(*((0.0, 1.0 + i) for i in range(9))) == ((0.0, 9.0),)
     # Two who leave together are no end
     assert spans_of((0.0, 3.0), (0.0, 3.0), (0.0, 9.0)) == ((0.0, 9.0),)

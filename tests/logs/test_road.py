@@ -214,7 +214,7 @@ def test_bad_lanes_are_refused() -> None:
 
 
 @given(st.floats(-7.0, 7.0), st.floats(0.0, 6.2), st.floats(-0.2, 1.2), st.integers(-2, 2))
-def test_a_heading_interval_holds_what_lies_in_it_whatever_the_turns(
+def test_a_heading_interval_holds_its_headings_modulo_a_turn(
     first: float, width: float, share: float, turns: int
 ) -> None:
     goal = Goal(yaw=(first, first + width))
@@ -231,7 +231,7 @@ def test_a_full_turn_is_any_heading(yaw: float) -> None:
     assert Goal(yaw=(0.0, 7.0)).reached(0.0, 0.0, 0.0, yaw, 0.0)
 
 
-def test_a_goal_wants_all_that_it_names() -> None:
+def test_a_goal_needs_each_of_its_conditions() -> None:
     square = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]])
     goal = Goal((square, square + 10.0), t=(1.0, 2.0), v=(0.0, 5.0))
     assert goal.reached(1.0, 1.0, 1.0, 0.0, 3.0)

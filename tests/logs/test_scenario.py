@@ -111,7 +111,7 @@ def at_intervals(*intervals: float) -> Tracks:
 
 
 @given(st.lists(st.floats(0.6, 1.0), min_size=5, max_size=15))
-def test_who_is_sampled_rarely_does_not_flicker(intervals: list[float]) -> None:
+def test_rarely_sampled_agents_do_not_flicker(intervals: list[float]) -> None:
     alone = one_car(np.r_[0.0, np.cumsum(intervals)].tolist(), [0.0] * (len(intervals) + 1))
     both = at_intervals(*intervals)
     for t in np.arange(0.0, sum(intervals), 0.1):
@@ -122,7 +122,7 @@ def test_who_is_sampled_rarely_does_not_flicker(intervals: list[float]) -> None:
             assert t < intervals[0] + 1e-9 or "rare" in both.truth(1.0 + t).ids
 
 
-def test_a_gap_is_a_gap_for_everybody() -> None:
+def test_agents_are_absent_in_a_gap_of_their_track() -> None:
     t = np.r_[np.arange(0.0, 2.05, 0.1), np.arange(6.0, 8.05, 0.1)]
     car = one_car(t.tolist(), (10.0 * t).tolist())
     for time, shown, true in (
@@ -206,7 +206,7 @@ def test_yaw_is_continuous_within_each_track_and_the_same_direction(seed: int) -
 
 
 @given(seed=st.integers(0, 50), keep=st.sets(st.integers(0, 5)))
-def test_some_by_name_are_they_with_all_their_samples(seed: int, keep: set[int]) -> None:
+def test_a_selection_by_name_keeps_all_samples(seed: int, keep: set[int]) -> None:
     tracks = ragged(seed)
     names = [name for i, name in enumerate(tracks.ids) if i in keep]
     some = tracks.only([*names, "no one"])

@@ -14,14 +14,14 @@ from replan.logs.vehicle import VehicleParameters, vehicle_names, vehicle_parame
 
 
 @pytest.mark.parametrize("name", vehicle_names())
-def test_a_vehicle_file_tells_every_number_and_where_it_comes_from(name: str) -> None:
+def test_a_vehicle_file_states_each_number_and_its_source(name: str) -> None:
     text = (files("replan.logs") / "vehicles" / f"{name}.toml").read_text(encoding="utf-8")
     assert set(tomllib.loads(text)) == {item.name for item in fields(VehicleParameters)}
     assert "measured" in text
 
 
 @pytest.mark.parametrize("name", vehicle_names())
-def test_what_controllers_are_told_is_what_the_motor_gives(name: str) -> None:
+def test_limits_for_controllers_are_those_of_the_motor(name: str) -> None:
     p = vehicle_parameters(name)
     force = np.array(p.motor_torque) * p.gears[0] * p.drive_efficiency / (p.wheel_radius * p.mass)
     power = np.array(p.motor_torque) * np.array(p.motor_speed) * p.drive_efficiency / p.mass

@@ -49,7 +49,7 @@ def test_the_logged_drive_is_consistent(name: str) -> None:
 
 
 @everywhere
-def test_the_logged_drive_touches_nobody_stays_on_the_road_and_arrives(name: str) -> None:
+def test_the_logged_drive_has_no_contact_stays_on_the_road_and_arrives(name: str) -> None:
     scenario = SCENARIOS[name]
     ego, car = scenario.ego, scenario.vehicle
     assert touches(scenario) is None
@@ -77,7 +77,7 @@ def test_the_logged_drive_touches_nobody_stays_on_the_road_and_arrives(name: str
 
 
 @everywhere
-def test_the_others_are_there_to_the_end_and_their_velocities_fit(name: str) -> None:
+def test_agents_last_to_the_end_and_their_velocities_fit(name: str) -> None:
     scenario = SCENARIOS[name]
     tracks = scenario.tracks
     for i in range(len(tracks)):
@@ -121,7 +121,7 @@ def test_expected_decisions_name_agents_and_decisions(name: str) -> None:
 
 @settings(max_examples=10)
 @given(v=st.floats(0.0, 20.0), cruise=st.floats(3.0, 20.0), gap=st.floats(40.0, 120.0))
-def test_the_careful_driver_is_smooth_and_stops_where_he_should(
+def test_the_careful_driver_is_smooth_and_stops_at_the_line(
     v: float, cruise: float, gap: float
 ) -> None:
     path = curve((2000.0, 0.0, 0.0))
@@ -336,7 +336,7 @@ def test_without_braking_a_pedestrian_would_be_hit_and_the_driver_waits_for_the_
 @pytest.mark.parametrize(
     ("dwell", "lateral", "back"), [(1.0, -0.5, 1.2), (2.5, 0.0, 1.5), (4.0, 0.5, 1.8)]
 )
-def test_who_turns_back_stands_on_the_lane_and_returns(
+def test_a_pedestrian_who_turns_back_stands_on_the_lane_first(
     dwell: float, lateral: float, back: float
 ) -> None:
     scenario = CATALOGUE["pedestrian/turns_back"].scenario(

@@ -87,7 +87,7 @@ def test_every_cell_builds(name: str) -> None:
 
 
 @everywhere
-def test_what_is_no_cell_is_refused_in_one_line(name: str) -> None:
+def test_parameters_without_a_scenario_are_refused_in_one_line(name: str) -> None:
     family = FAMILIES[name]
     for words in ({"tune": 1.0}, {next(iter(family.grid)): float("nan")}):
         with pytest.raises(ConfigError, match=r"^[^\n]+$"):
@@ -152,7 +152,7 @@ CROSSINGS = {
     st.integers(10, 60),
     st.sampled_from([10.0, 25.0, 50.0, 75.0, 90.0]),
 )
-def test_who_crosses_is_met_after_six_seconds_at_the_overlap(
+def test_a_crossing_target_is_met_after_six_seconds_at_the_overlap(
     name: str, kmh: int, overlap: float
 ) -> None:
     """Its middle is `overlap` from the ego's right side as the ego's front comes to its side."""
@@ -174,7 +174,7 @@ def test_who_crosses_is_met_after_six_seconds_at_the_overlap(
 @pytest.mark.parametrize(
     "label", ["ccrs_2023@ego_kmh=50,overlap_percent=-50", "ccrm_2026@ego_kmh=90,target_kmh=20"]
 )
-def test_who_is_ahead_is_met_after_six_seconds(label: str) -> None:
+def test_a_target_ahead_is_met_after_six_seconds(label: str) -> None:
     log = scenario(f"euro_ncap/{label}")
     assert touches(at_constant_speed(log, 6.1)) == "car"
     assert touches(at_constant_speed(log, 5.9)) is None
@@ -211,7 +211,7 @@ def test_ways_cross_at_the_junction(label: str) -> None:
 
 
 @pytest.mark.parametrize(("gap", "lateral"), [(0.0, 1.0), (20.0, 0.5), (60.0, 3.0)])
-def test_who_cuts_in_has_gap_and_lateral_speed(gap: float, lateral: float) -> None:
+def test_a_cut_in_has_the_gap_and_lateral_speed_of_its_cell(gap: float, lateral: float) -> None:
     log = FAMILIES["unece_r157/cut_in"].scenario(gap_m=gap, lateral_mps=lateral, relative_kmh=-20.0)
     start = at_constant_speed(log, 3.0)
     other = log.tracks.truth(2.0)
@@ -293,7 +293,9 @@ def test_the_first_cells_of_a_grid_lie_far_apart(name: str) -> None:
         (["evaluate", "--suite", "smok"], "smoke"),
     ],
 )
-def test_a_suite_is_asked_for_in_one_way(words: list[str], said: str, tmp_path: Path) -> None:
+def test_contradictory_choices_of_scenarios_are_refused(
+    words: list[str], said: str, tmp_path: Path
+) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(tmp_path)
         result = replan(*words)

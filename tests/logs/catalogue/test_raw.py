@@ -23,7 +23,7 @@ def detections(name: str, **parameters: float) -> Detections:
 
 
 @pytest.mark.parametrize("name", ["raw/crossing", "raw/queue", "raw/parked", "raw/rider"])
-def test_a_log_holds_what_a_detector_says_and_nothing_of_the_truth(name: str) -> None:
+def test_a_log_holds_detections_and_no_true_tracks(name: str) -> None:
     made = FAMILIES[name].scenario()
     assert made.detections is not None
     assert len(made.tracks) == 0
@@ -59,7 +59,7 @@ def alike(one: Scenario, two: Scenario, within: float) -> None:
         )
 
 
-def test_one_drive_of_the_built_in_suite_is_made_of_detections_and_the_same_from_a_file(
+def test_the_raw_drive_of_the_suite_is_the_same_from_a_file(
     tmp_path: Path,
 ) -> None:
     assert [name for name in CATALOGUE if name.startswith("raw/")] == ["raw/crossing"]

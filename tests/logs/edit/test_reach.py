@@ -57,7 +57,7 @@ def test_few_road_users_stay_wherever_they_are() -> None:
     assert within_reach(scenario) is scenario
 
 
-def test_who_passes_between_two_far_samples_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_agents_that_pass_between_distant_samples_stay(monkeypatch: pytest.MonkeyPatch) -> None:
     """The box around a track counts, not its samples."""
     monkeypatch.setattr(reach, "MANY", 0)
     scenario = parked([0.0, 0.0], [-2e4, 2e4])

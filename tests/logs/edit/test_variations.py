@@ -121,7 +121,7 @@ def test_velocities_are_those_of_the_new_motion() -> None:
     )
 
 
-def test_one_who_was_tracked_in_pieces_stays_in_one() -> None:
+def test_tracks_in_pieces_stay_joined() -> None:
     first, second = T[:40], T[40:]
     pieces = tracks(
         track("a", first, 3.0 * first, 0.0 * first), track("b", second, 3.0 * second, 0.0 * second)
@@ -144,7 +144,7 @@ def test_sideways_is_across_the_course_and_moves_nobody_else(value: float) -> No
 
 
 @given(st.floats(-6.0, 3.0))
-def test_who_was_there_all_the_time_still_is(value: float) -> None:
+def test_agents_present_throughout_stay_present(value: float) -> None:
     made = varied(LOG, ("car", "walker"), {"time": value})
     covered = np.arange(0.0, 8.0, 0.5)
     for agent in ("car", "walker"):
@@ -155,7 +155,7 @@ def test_who_was_there_all_the_time_still_is(value: float) -> None:
     assert at(made, "walker", np.array([0.0]))[0, 1] >= -6.0  # who stood before, stands
 
 
-def test_a_varied_log_says_so_and_holds_no_drive(tmp_path: Path) -> None:
+def test_a_varied_log_is_marked_and_holds_no_drive(tmp_path: Path) -> None:
     made = varied(LOG, ("walker",), {"time": -1.5, "speed": 2.0})
     assert made.name == "handmade~speed=2,time=-1.5"
     assert made.tags == ("test", "varied") and not made.is_recorded and len(made.ego) == 1

@@ -100,20 +100,18 @@ def run_kinematic(
     count: int,
     dt: float,
     numbers: Plain,
-    inner: Plain,
-) -> Plain:
-    """Run `count` steps of a kinematic bicycle from row `first`, and return its state after them.
+) -> None:
+    """Run `count` steps of a kinematic bicycle from row `first`; its state is in the rows.
 
     `driver` and `path` as in `replan.replay.control.split.control_once`.
     """
     (laws, memories, wheel), (times, knots) = driver, path
-    law, memory = named_law(laws), memories[0]
-    car, s = Kinematics(*numbers), BicycleState(*inner)
+    law, memory, car = named_law(laws), memories[0], Kinematics(*numbers)
+    s = kinematic_bicycle.state_of(rows[first].ego, rows[first].actuation)
     for k in range(first, first + count):
         command = control_row(law, memory, wheel, times, knots, rows[k])  # (1)-(3)
         s, motion = kinematic_bicycle.step(s, command, car, rows[k].ego.t, dt)  # (4)
         write_motion(rows[k + 1], motion, s.steer, s.throttle, s.brake)  # (5)
-    return s[:]
 
 
 @kernel
@@ -156,10 +154,9 @@ def _kinematic(
     count: int,
     dt: float,
 ) -> None:
-    inner = run_kinematic(
-        driver.inputs, path.columns, rows, first, count, dt, car.numbers, car.inner[:]
-    )
-    car.inner, car.state = BicycleState(*inner), state_at(rows, first + count)
+    run_kinematic(driver.inputs, path.columns, rows, first, count, dt, car.numbers)
+    car.state, actuation = state_at(rows, first + count), rows["actuation"].item(first + count)
+    car.inner = BicycleState(car.state.x, car.state.y, car.state.yaw, car.state.v, *actuation)
 
 
 def _single_track(

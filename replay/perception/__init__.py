@@ -7,6 +7,7 @@ future, the upper bound for better predictions. Such a drive is marked as that o
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from itertools import chain
 
 import numpy as np
 
@@ -86,18 +87,18 @@ class Recorded:
         t = world.ego.t
         known = self._tracked.at(t)
         log = self._around_log.of(self._log, t, t).perceived(t)
-        whose = self._owners.of(known, log)
+        owners = self._owners.of(known, log)
         if world.tracks is self._log:
             now, shown = log, known
         else:
             now = self._around.of(world.tracks, t, t).perceived(t)
-            there, then = ({name: i for i, name in enumerate(some.ids)} for some in (now, log))
-            kept = [i for i, name in enumerate(whose) if name not in then or name in there]
-            both = [row for row, i in enumerate(kept) if whose[i] in then]
-            in_world, in_log = (
-                _rows(places[whose[kept[row]]] for row in both) for places in (there, then)
-            )
-            shown = known.some(_rows(kept))
+            world_row = {name: i for i, name in enumerate(now.ids)}
+            log_row = {name: i for i, name in enumerate(log.ids)}
+            rows = [i for i, name in enumerate(owners) if name not in log_row or name in world_row]
+            both = [row for row, i in enumerate(rows) if owners[i] in log_row]
+            in_world = _rows(world_row[owners[rows[row]]] for row in both)
+            in_log = _rows(log_row[owners[rows[row]]] for row in both)
+            shown = known.some(_rows(rows))
             columns = np.array([getattr(shown, name) for name in NUMBERS])
             for name in MOVED:  # (1)
                 change = getattr(now, name)[in_world] - getattr(log, name)[in_log]
@@ -219,8 +220,8 @@ class Perception:
                 rows.setdefault(name, []).append((t, agents, i))
         if not rows:
             return Tracks.empty()
-        first = [some[0] for some in rows.values()]
-        samples = [sample for some in rows.values() for sample in some]
+        first = [samples[0] for samples in rows.values()]
+        samples = [*chain.from_iterable(rows.values())]
         columns = (
             np.array([getattr(a, name)[i] for _, a, i in samples])
             for name in ("x", "y", "yaw", "vx", "vy")
@@ -250,7 +251,7 @@ def logged_futures(log: Tracks, agents: Agents, t: FloatArray) -> Predictions:
     last = log.offsets[1:] - 1
     vx, vy = log.velocity(np.arange(len(log)), last)
     since = t - t[0]
-    way = np.stack(
+    x, y, yaw = poses = np.stack(
         [
             agents.x[:, None] + agents.vx[:, None] * since,
             agents.y[:, None] + agents.vy[:, None] * since,
@@ -260,7 +261,5 @@ def logged_futures(log: Tracks, agents: Agents, t: FloatArray) -> Predictions:
     for row, i in ((row, index[name]) for row, name in enumerate(agents.ids) if name in index):
         span, beyond = log.samples(i), np.maximum(t - log.t[last[i]], 0.0) * (not log.static[i])
         for c, (column, v) in enumerate(((log.x, vx[i]), (log.y, vy[i]), (log.yaw, 0.0))):
-            way[c, row] = np.interp(t, log.t[span], column[span]) + v * beyond
-    return Predictions(
-        t, np.arange(len(agents)), np.ones(len(agents)), way[0], way[1], way[2], ORACLE
-    )
+            poses[c, row] = np.interp(t, log.t[span], column[span]) + v * beyond
+    return Predictions(t, np.arange(len(agents)), np.ones(len(agents)), x, y, yaw, ORACLE)

@@ -82,28 +82,22 @@ def predict(
         ConfigError: There is no predictor `method`, or it does not return `Predictions`.
     """
     predictor = predictor or PREDICTION.find(method)
-    found = predictor(agents, t + step * np.arange(round(horizon / step) + 1), lanes)
-    if not isinstance(found, Predictions):
+    futures = predictor(agents, t + step * np.arange(round(horizon / step) + 1), lanes)
+    if not isinstance(futures, Predictions):
         raise ConfigError(
-            f"prediction '{method}' returned {type(found).__name__} instead of Predictions"
+            f"prediction '{method}' returned {type(futures).__name__} instead of Predictions"
         )
-    return found if found.method == method else replace(found, method=method)
+    return futures if futures.method == method else replace(futures, method=method)
 
 
 def _instead(general: Predictions, special: Predictions) -> Predictions:
     """Return `general`, with the hypotheses of the agents in `special` replaced by those of
     `special`.
     """
-    rest = np.flatnonzero(~np.isin(general.agent, special.agent))
-    agent = np.r_[general.agent[rest], special.agent]
-    order = np.argsort(agent, kind="stable")
-    probability = np.r_[general.probability[rest], special.probability][order]
-    x, y, yaw = (
-        np.vstack([mine[rest], theirs])[order]
-        for mine, theirs in (
-            (general.x, special.x),
-            (general.y, special.y),
-            (general.yaw, special.yaw),
-        )
+    others = np.flatnonzero(~np.isin(general.agent, special.agent))
+    order = np.argsort(np.r_[general.agent[others], special.agent], kind="stable")
+    agent, probability, x, y, yaw = (
+        np.concatenate([getattr(general, name)[others], getattr(special, name)])[order]
+        for name in ("agent", "probability", "x", "y", "yaw")
     )
-    return Predictions(general.t, agent[order], probability, x, y, yaw, general.method)
+    return Predictions(general.t, agent, probability, x, y, yaw, general.method)

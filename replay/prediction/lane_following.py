@@ -35,6 +35,7 @@ from replan.logs.agents import AgentKind, Agents, among
 from replan.logs.frame import Predictions
 from replan.logs.states import wrap
 from replan.replay.prediction.lane_map import (
+    MISFIT,
     LaneMap,
     LaneSamples,
     lane_point,
@@ -96,9 +97,9 @@ def _predict_vehicles(
     rows = np.column_stack(
         [a.x, a.y, a.yaw, a.vx, a.vy, a.yaw_rate, a.width, a.accel, np.arctan2(a.vy, a.vx)]
     )
-    agent, probability, way = _predict_all(lanes.arrays, a.codes, rows, t, others)
-    way = frozen(way)  # once: its rows are not copied again
-    return Predictions(t, agent, probability, way[0], way[1], way[2], "lane_following")
+    agent, probability, poses = _predict_all(lanes.arrays, a.codes, rows, t, others)
+    x, y, yaw = frozen(poses)  # once: its rows are not copied again
+    return Predictions(t, agent, probability, x, y, yaw, "lane_following")
 
 
 class LaneWays(NamedTuple):
@@ -128,38 +129,39 @@ def _predict_all(
     times, s, from now on. `others`: whether agents without a lane keep a constant turn rate;
     otherwise they are left out.
     """
-    n, most, follows, ahead = len(codes), 0, FOLLOW[codes], t - t[0]
+    n, most = len(codes), 0
+    follows, ahead = FOLLOW[codes], t - t[0]
     for i in range(n):
         rows[i, RATE] = turn_rate(codes[i], hypot(rows[i, VX], rows[i, VY]), rows[i, RATE])
         most += WAYS if follows[i] else 1
     agent = np.empty(most, np.int64)
     all_ways, ways, count = _no_ways(most), _no_ways(WAYS), 0
     for i in range(n):
-        found = _find_ways(map_, rows[i], ahead[-1], ways) if follows[i] else 0
-        total, kept = ways.share[:found].sum(), 0.0
-        for h in range(found):
-            kept += ways.share[h] if ways.share[h] >= LEAST * total else 0.0
-        for h in range(found):
+        number = _find_ways(map_, rows[i], ahead[-1], ways) if follows[i] else 0
+        total, likely = ways.share[:number].sum(), 0.0
+        for h in range(number):
+            likely += ways.share[h] if ways.share[h] >= LEAST * total else 0.0
+        for h in range(number):
             if ways.share[h] >= LEAST * total:
                 agent[count] = i
-                _copy_way(ways, h, all_ways, count, ways.share[h] / kept)
+                _copy_way(ways, h, all_ways, count, ways.share[h] / likely)
                 count += 1
-        if found == 0 and others:
+        if number == 0 and others:
             agent[count] = i
             count += 1
-    out = np.empty((3, count, len(ahead)))
+    poses = np.empty((3, count, len(ahead)))
     dying = np.empty(len(ahead))  # 1 - exp(-t / T_a) of (1), midway between each time and the next
     for k in range(len(ahead)):
         middle = 0.5 * (ahead[k] + ahead[min(k + 1, len(ahead) - 1)])
         dying[k] = 1.0 - exp(-middle / FADE_S)
     for h in range(count):
-        one = rows[agent[h]]
+        vehicle = rows[agent[h]]
         if all_ways.depth[h] > 0:
-            way = all_ways.lanes[h, : all_ways.depth[h]]
-            _roll_out(map_, one, way, all_ways.start[h], ahead, dying, out[:, h])
+            sequence = all_ways.lanes[h, : all_ways.depth[h]]
+            _roll_out(map_, vehicle, sequence, all_ways.start[h], ahead, dying, poses[:, h])
         else:
-            turned(one, ahead, out[:, h])
-    return agent[:count], all_ways.share[:count], out
+            turned(vehicle, ahead, poses[:, h])
+    return agent[:count], all_ways.share[:count], poses
 
 
 @inner_kernel
@@ -186,12 +188,12 @@ def _find_ways(map_: LaneSamples, vehicle: FloatArray, horizon: float, ways: Lan
 
     Return their number.
     """
-    lanes, found = np.empty(MATCHED, np.int64), np.empty((MATCHED, 4))
-    count = matches(map_, vehicle[X], vehicle[Y], vehicle[YAW], lanes, found)
+    lanes, feet = np.empty(MATCHED, np.int64), np.empty((MATCHED, 4))
+    matched = matches(map_, vehicle[X], vehicle[Y], vehicle[YAW], lanes, feet)
     speed = hypot(vehicle[VX], vehicle[VY])
-    made = 0
-    for m in range(count):
-        lane, s, left, half = lanes[m], found[m, 0], found[m, 1], found[m, 2]
+    count = 0
+    for m in range(matched):
+        lane, (s, left, half, misfit) = lanes[m], feet[m]
         along, across = _velocity_along_lane(map_, lane, s, vehicle)
         if along < -0.5:
             continue
@@ -203,23 +205,22 @@ def _find_ways(map_: LaneSamples, vehicle: FloatArray, horizon: float, ways: Lan
         if target != lane:
             s, left, half = lane_project(map_, target, vehicle[X], vehicle[Y], FAR_M)
         known = False
-        for h in range(made):
+        for h in range(count):
             known = known or ways.lanes[h, 0] == target
         if known:
             continue
-        ways.lanes[made, 0], ways.depth[made] = target, 1
-        ways.start[made, 0], ways.start[made, 1], ways.start[made, 2] = s, left, half
-        ways.share[made] = exp(
-            -0.5 * (found[m, 3] - found[0, 3]) - _turn(map_, target, s) / TURN_RAD
-        )
-        made += 1
-        if made == WAYS:
+        ways.lanes[count, 0], ways.depth[count] = target, 1
+        ways.start[count, 0], ways.start[count, 1], ways.start[count, 2] = s, left, half
+        best = feet[0, MISFIT]
+        ways.share[count] = exp(-0.5 * (misfit - best) - _turn(map_, target, s) / TURN_RAD)
+        count += 1
+        if count == WAYS:
             break
     h = 0
-    while h < made:
-        made = _extend_way(map_, h, made, speed * horizon, speed, ways)
+    while h < count:
+        count = _extend_way(map_, h, count, speed * horizon, speed, ways)
         h += 1
-    return made
+    return count
 
 
 @inner_kernel
@@ -321,7 +322,8 @@ def _in_bends(map_: LaneSamples, way: IntArray, s: float, speed: float, reach: f
     count = int(reach / KNOT_M) + 2
     square = np.empty(count)
     for i in range(count):
-        bend = abs(_on_way(map_, way, s + i * KNOT_M)[3])
+        _, _, _, kappa = _on_way(map_, way, s + i * KNOT_M)
+        bend = abs(kappa)
         square[i] = CURVE_MPS2 / bend if bend * speed * speed > CURVE_MPS2 else speed * speed
     for i in range(count - 2, -1, -1):
         square[i] = min(square[i], square[i + 1] + 2.0 * EASE_MPS2 * KNOT_M)
@@ -354,9 +356,9 @@ def _stations(
         return gone
     square = _in_bends(map_, way, s, fastest, reach)
     for k in range(len(ahead) - 1):
-        at = min(int(gone[k] / KNOT_M), len(square) - 2)
-        u = min(gone[k] / KNOT_M - at, 1.0)
-        allowed = sqrt(max(square[at] + u * (square[at + 1] - square[at]), 0.0))
+        i = min(int(gone[k] / KNOT_M), len(square) - 2)
+        u = min(gone[k] / KNOT_M - i, 1.0)
+        allowed = sqrt(max(square[i] + u * (square[i + 1] - square[i]), 0.0))
         gone[k + 1] = gone[k] + min(allowed, wished[k]) * (ahead[k + 1] - ahead[k])
     return gone
 
@@ -385,7 +387,8 @@ def _roll_out(
     end = min(max(left + drift * SETTLE_S, -room), room)
     off = left - end
     rate = drift + off / SETTLE_S
-    askew, shift_x, shift_y, full_turns = 0.0, 0.0, 0.0, 0.0
+    askew = full_turns = 0.0
+    shift_x = shift_y = 0.0
     for k in range(len(ahead)):
         if k > 1 and gone[k] == gone[k - 1]:
             out[:, k] = out[:, k - 1]  # standing vehicles stay

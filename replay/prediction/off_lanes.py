@@ -89,20 +89,21 @@ def turn_rate(code: int, speed: float, yaw_rate: float) -> float:
 
 
 @inner_kernel
-def turned(one: FloatArray, ahead: FloatArray, out: FloatArray) -> None:
-    """Predict motion along a circle (2): rows x, y, yaw `(3, k)` in `out` of a road user
+def turned(agent: FloatArray, ahead: FloatArray, poses: FloatArray) -> None:
+    """Predict motion along a circle (2): rows x, y, yaw `(3, k)` in `poses` of a road user
     (`COLUMNS`).
 
     `ahead` `(k,)`: times from now, s.
     """
-    speed = np.hypot(one[VX], one[VY])
+    speed = np.hypot(agent[VX], agent[VY])
     for k in range(len(ahead)):
-        half = 0.5 * one[RATE] * ahead[k]
+        half = 0.5 * agent[RATE] * ahead[k]
         bent = pi * (half / pi)
         chord = speed * ahead[k] * (sin(bent) / bent if bent != 0.0 else 1.0)
-        toward = one[COURSE] + half
-        out[0, k], out[1, k] = one[X] + chord * cos(toward), one[Y] + chord * sin(toward)
-        out[2, k] = one[YAW] + 2.0 * half
+        toward = agent[COURSE] + half
+        poses[0, k] = agent[X] + chord * cos(toward)
+        poses[1, k] = agent[Y] + chord * sin(toward)
+        poses[2, k] = agent[YAW] + 2.0 * half
 
 
 class PedestrianPlace(Enum):
@@ -135,7 +136,7 @@ pedestrian slows.
 def walkers(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
     """Predict only the pedestrians among `agents`, with their hypotheses (module docstring)."""
     ahead, still = t - t[0], np.zeros(len(t))
-    agent, probability, way = [], [], []
+    agent, probability, poses = [], [], []
     # For each hypothesis: the distance walked, whether it has turned
     walks: tuple[tuple[FloatArray, FloatArray], ...]
     for i, kind in enumerate(agents.kinds):
@@ -154,17 +155,13 @@ def walkers(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
             place = PedestrianPlace.STANDING_ON_ROAD if road == 0.0 else PedestrianPlace.STANDING
             walks = (started, still), (still, still), (-started, (started > 0.0).astype(float))
         else:
-            place = (
-                PedestrianPlace.CROSSING
-                if road == 0.0
-                else PedestrianPlace.COMING
-                if np.isfinite(road)
-                else PedestrianPlace.AWAY
-            )
             stop = 0.5 * speed**2 / BRAKE_MPS2
-            halted = walked(
-                ahead, speed, max(stop, road - KERB_M) if place is PedestrianPlace.COMING else stop
-            )
+            place, halt = PedestrianPlace.AWAY, stop
+            if road == 0.0:
+                place = PedestrianPlace.CROSSING
+            elif np.isfinite(road):
+                place, halt = PedestrianPlace.COMING, max(stop, road - KERB_M)
+            halted = walked(ahead, speed, halt)
             back = max(speed, START_MPS) * np.maximum(ahead - speed / BRAKE_MPS2 - PAUSE_S, 0.0)
             there_and_back = walked(ahead, speed, stop) - back, (back > 0.0).astype(float)
             walks = (speed * ahead, still), (halted, still), there_and_back
@@ -173,11 +170,9 @@ def walkers(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
             if share > 0.0:
                 agent.append(i)
                 probability.append(share)
-                yaw = agents.yaw[i] + np.pi * turned
-                way.append(
-                    (agents.x[i] + distance * toward[0], agents.y[i] + distance * toward[1], yaw)
-                )
-    x, y, yaw = np.array(way).reshape(-1, 3, len(t)).transpose(1, 0, 2)
+                x, y = agents.x[i] + distance * toward[0], agents.y[i] + distance * toward[1]
+                poses.append((x, y, agents.yaw[i] + np.pi * turned))
+    x, y, yaw = np.array(poses).reshape(-1, 3, len(t)).transpose(1, 0, 2)
     return Predictions(t, np.array(agent, np.int64), np.array(probability), x, y, yaw, "pedestrian")
 
 

@@ -170,6 +170,14 @@ def advance(
     return state
 
 
+@inner_kernel
+def state_of(ego: EgoState, actuation: Command) -> BicycleState:
+    """The state of a bicycle by the records of its motion and of its actuators."""
+    return BicycleState(
+        ego.x, ego.y, ego.yaw, ego.v, actuation.steer, actuation.throttle, actuation.brake
+    )
+
+
 @kernel
 def motion(s: BicycleState, t: float, car: Kinematics) -> Motion:
     """The ego's motion at `t`."""

@@ -119,13 +119,15 @@ Limits = tuple[float, float, float, float, float]
 @kernel
 def drive_force(v: float, throttle: float, limits: Limits) -> float:
     """Acceleration by the drive, m/s2."""
-    return throttle * min(limits[0], limits[1] / max(abs(v), 1e-3))  # (5)
+    max_accel, max_power, _, _, _ = limits
+    return throttle * min(max_accel, max_power / max(abs(v), 1e-3))  # (5)
 
 
 @inner_kernel
 def friction_force(brake: float, limits: Limits) -> float:
     """Deceleration that brakes and rolling can give, m/s2."""
-    return limits[4] + brake * limits[2]  # (6)
+    _, _, max_decel, _, rolling = limits
+    return rolling + brake * max_decel  # (6)
 
 
 @inner_kernel
@@ -137,8 +139,9 @@ def is_rolling(v: float, throttle: float, brake: float, limits: Limits) -> bool:
 @inner_kernel
 def rolling_acceleration(v: float, throttle: float, brake: float, limits: Limits) -> float:
     """dv/dt while rolling, m/s2."""
+    _, _, _, drag, _ = limits
     # (7)
-    return drive_force(v, throttle, limits) - friction_force(brake, limits) - limits[3] * v * abs(v)
+    return drive_force(v, throttle, limits) - friction_force(brake, limits) - drag * v * abs(v)
 
 
 @dataclass(frozen=True)

@@ -52,14 +52,14 @@ class Deviation(NamedTuple):
 @inner_kernel
 def plan_stations(x: FloatArray, y: FloatArray, yaw: FloatArray) -> FloatArray:
     """Stations `(n,)` of a plan's samples, m, not decreasing, from 0."""
-    out = np.zeros(len(x))
+    stations = np.zeros(len(x))
     total = 0.0
     for i in range(1, len(x)):
         mean, half = 0.5 * (yaw[i] + yaw[i - 1]), 0.5 * (yaw[i] - yaw[i - 1])
         along = (x[i] - x[i - 1]) * cos(mean) + (y[i] - y[i - 1]) * sin(mean)
         total += along * half / sin(half) if 1e-6 < abs(half) < 1.5 else along  # (1)
-        out[i] = max(out[i - 1], total)  # (2)
-    return out
+        stations[i] = max(stations[i - 1], total)  # (2)
+    return stations
 
 
 @kernel
@@ -80,10 +80,9 @@ def path_columns(
     times, knots = np.empty((len(t), 4)), np.empty((len(t), 5))
     count = 0
     for i in range(len(t)):
-        times[i, 0], times[i, 1], times[i, 2], times[i, 3] = t[i], station[i], max(v[i], 0.0), a[i]
+        times[i] = t[i], station[i], max(v[i], 0.0), a[i]
         if i == 0 or station[i] - knots[count - 1, 0] >= KNOT_SPACING_M:
-            knots[count, 0], knots[count, 1], knots[count, 2] = station[i], x[i], y[i]
-            knots[count, 3], knots[count, 4] = yaw[i], kappa[i]
+            knots[count] = station[i], x[i], y[i], yaw[i], kappa[i]
             count += 1
     return times, knots[:count].copy()
 
@@ -153,22 +152,23 @@ def path_point(knots: FloatArray, s: float) -> tuple[float, float, float, float]
     """
     last = len(knots) - 1
     if last == 0 or s <= knots[0, 0] or s >= knots[last, 0]:
-        k = 0 if last == 0 or s <= knots[0, 0] else last
-        ahead, yaw = s - knots[k, 0], knots[k, 3]
-        return knots[k, 1] + ahead * cos(yaw), knots[k, 2] + ahead * sin(yaw), yaw, knots[k, 4]
+        s0, x, y, yaw, kappa = knots[0 if last == 0 or s <= knots[0, 0] else last]
+        return x + (s - s0) * cos(yaw), y + (s - s0) * sin(yaw), yaw, kappa
     i = int(np.searchsorted(knots[:, 0], s, side="right")) - 1
-    one, two = knots[i], knots[i + 1]
-    h = two[0] - one[0]
-    u = (s - one[0]) / h
-    x = hermite(one[1], two[1], h * cos(one[3]), h * cos(two[3]), u)
-    y = hermite(one[2], two[2], h * sin(one[3]), h * sin(two[3]), u)
-    return x, y, one[3] + u * (two[3] - one[3]), one[4] + u * (two[4] - one[4])
+    s0, x0, y0, yaw0, kappa0 = knots[i]
+    s1, x1, y1, yaw1, kappa1 = knots[i + 1]
+    h = s1 - s0
+    u = (s - s0) / h
+    x = hermite(x0, x1, h * cos(yaw0), h * cos(yaw1), u)
+    y = hermite(y0, y1, h * sin(yaw0), h * sin(yaw1), u)
+    return x, y, yaw0 + u * (yaw1 - yaw0), kappa0 + u * (kappa1 - kappa0)
 
 
 @inner_kernel
 def path_kappa(knots: FloatArray, s: float) -> float:
     """Curvature at station `s`, 1/m."""
-    return path_point(knots, s)[3]
+    _, _, _, kappa = path_point(knots, s)
+    return kappa
 
 
 @inner_kernel
@@ -223,8 +223,6 @@ class Tracker:
         """The plan as a path."""
         if self._path is None or plan is not self._plan:
             prepare = self._prepare
-            self._plan, self._path = (
-                plan,
-                PlanPath.of(prepare(plan.trajectory) if prepare else plan.trajectory),
-            )
+            self._plan = plan
+            self._path = PlanPath.of(prepare(plan.trajectory) if prepare else plan.trajectory)
         return self._path

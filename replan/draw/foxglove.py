@@ -25,6 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import fields
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -84,23 +85,17 @@ LINE_M, LABEL_PX = 0.1, 12.0
 def scenario_channels(scenario: Scenario, markers: Sequence[Marker] = ()) -> Iterator[Entry]:
     """The messages of a log, with its markers; LogError if a log time is before the epoch."""
     start = scenario.start_ns
-    begun = sorted(markers, key=lambda one: one.begin)
-    times = log_times(np.array([one.begin for one in begun]), start, "/foxglove/events")
-    for time, one in zip(times, begun, strict=True):
-        yield (
-            time,
-            "/foxglove/events",
-            Log(timestamp=_stamp(time), level=Log.INFO, message=one.words, name=one.kind),
-        )
+    ordered = sorted(markers, key=attrgetter("begin"))
+    times = log_times(np.array([marker.begin for marker in ordered]), start, "/foxglove/events")
+    for time, marker in zip(times, ordered, strict=True):
+        stamp, words = _stamp(time), marker.words
+        log = Log(timestamp=stamp, level=Log.INFO, message=words, name=marker.kind)
+        yield time, "/foxglove/events", log
     yield from _road(scenario)
     # write agents that never move once, the others at each time at which one of them was sampled
     # and at the end
-    tracks, ego, vehicle, short = (
-        scenario.tracks,
-        scenario.ego,
-        scenario.vehicle,
-        scenario.short_names,
-    )
+    tracks, short = scenario.tracks, scenario.short_names
+    ego, vehicle = scenario.ego, scenario.vehicle
     still = np.repeat(tracks.static, np.diff(tracks.offsets))
     if still.any():
         yield start, "/foxglove/obstacles", _boxes(tracks.taken(still).truth(0.0), start, short)

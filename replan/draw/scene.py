@@ -30,6 +30,10 @@ class Marker:
         """What happens, in a line: "cut in: car 12 (gap 3.2 m)"."""
         return ": ".join(filter(None, (self.kind.replace("_", " "), self.about)))
 
+    def lasts_at(self, t: float) -> bool:
+        """Whether a time, s, is in the stretch."""
+        return self.begin <= t + 1e-9 and t < self.end - 1e-9
+
 
 def decided(plan: Plan | PlanSummary) -> dict[str, Decision]:
     """The decision that is shown at each agent: the last one that is not "ignore"."""

@@ -90,20 +90,20 @@ def write_index(path: Path, folder: Path, most: int) -> list[Path]:
     rows = over.drives
     opened = [row for row in rows if row.recording][:most]
     lines = [f"# {cell(over.outcome)}: {counted(len(rows), 'drive')}, worst first", ""]
-    there = sum(bool(row.recording) for row in rows)
-    click = " A click on the name of a log opens its recording." if there else ""
+    recorded = sum(bool(row.recording) for row in rows)
+    click = " A click on the name of a log opens its recording." if recorded else ""
     beside = (
-        f"Open beside this page: {len(opened)} of {counted(there, 'recording')}, those of the "
+        f"Open beside this page: {len(opened)} of {counted(recorded, 'recording')}, those of the "
         "worst drives."
     )
     lines.append(beside + click)
-    if there > len(opened):
+    if recorded > len(opened):
         lines += [
             "",
             f"Both loops of one: `replan view {document([shlex.quote(str(folder))])} --log LOG`.",
         ]
-    if there < len(rows):
-        lines += ["", f"Without recording: {counted(len(rows) - there, 'drive')}."]
+    if recorded < len(rows):
+        lines += ["", f"Without recording: {counted(len(rows) - recorded, 'drive')}."]
     names = [column.title.replace("\n", " ") for column in over.columns]
     body = []
     for row in rows:
@@ -137,17 +137,17 @@ def recordings(target: Path, log: str | None = None) -> list[Path]:
     `log`: name of a log or its folder: only recordings whose path contains it. ConfigError if there
     are no such recordings.
     """
-    found = sorted(target.rglob("*.rrd"))
-    if not found:
+    files = sorted(target.rglob("*.rrd"))
+    if not files:
         raise ConfigError(
             f"{target}: no recording (*.rrd) in it; `replan evaluate` without --no-recording "
             "writes them"
         )
-    named = {file.relative_to(target).as_posix(): file for file in found}
-    return found if log is None else [named[name] for name in named_logs(log, named)]
+    named = {file.relative_to(target).as_posix(): file for file in files}
+    return files if log is None else [named[name] for name in named_logs(log, named)]
 
 
-def to_open(target: Path, found: list[Path], folder: Path, *, index: bool) -> list[Path]:
+def to_open(target: Path, files: list[Path], folder: Path, *, index: bool) -> list[Path]:
     """The files to open: the recordings of a folder, at most `MOST`, or the index and those of the
     worst drives.
 
@@ -157,12 +157,12 @@ def to_open(target: Path, found: list[Path], folder: Path, *, index: bool) -> li
     if index:
         page = folder / "index.rrd"
         return [*write_index(page, target, MOST), page]
-    if len(found) > MOST:
+    if len(files) > MOST:
         raise ConfigError(
-            f"{target}: {len(found)} recordings are too many to open at once (at most {MOST});"
-            f" name fewer with --log, --planner, --mode, or a recording, for example {found[0]}"
+            f"{target}: {len(files)} recordings are too many to open at once (at most {MOST});"
+            f" name fewer with --log, --planner, --mode, or a recording, for example {files[0]}"
         )
-    return found
+    return files
 
 
 def choose_pair(one: Path, two: Path, found: list[Path], others: list[Path]) -> tuple[Path, Path]:
@@ -175,10 +175,8 @@ def choose_pair(one: Path, two: Path, found: list[Path], others: list[Path]) -> 
         return one, two
     if one.is_file() or two.is_file():
         raise ConfigError("name two recordings, or two folders of results")
-    first, second = (
-        {file.relative_to(each): file for file in files}
-        for each, files in ((one, found), (two, others))
-    )
+    first = {file.relative_to(one): file for file in found}
+    second = {file.relative_to(two): file for file in others}
     both = sorted(first.keys() & second.keys())
     if not both:
         raise ConfigError(f"{one} and {two} have no recording in common")
@@ -198,13 +196,13 @@ def save_pair(out: Path, files: tuple[Path, Path]) -> None:
             raise ConfigError(
                 f"{file}: its trace ({file.with_suffix('.mcap').name}) is not beside it"
             )
-    one, two = (read_trace(file.with_suffix(".mcap"))[0] for file in files)
-    names = [f"{trace.planner}, {trace.mode.value} loop" for trace in (one, two)]
+    first, second = (read_trace(file.with_suffix(".mcap"))[0] for file in files)
+    names = [f"{trace.planner}, {trace.mode.value} loop" for trace in (first, second)]
     if names[0] == names[1]:
         names = [
             f"{name} ({file.parent.parent.name})" for name, file in zip(names, files, strict=True)
         ]
-    write_pair(out, files, (one, two), (names[0], names[1]))
+    write_pair(out, files, (first, second), (names[0], names[1]))
 
 
 def save_log(
@@ -294,14 +292,14 @@ def write_pair(
         for side, file in zip(SIDES, recordings, strict=True)
     ]
     t, values = difference(one, two)
-    paths = {chunk.entity_path for some in chunks for chunk in some}
+    paths = {chunk.entity_path for of_side in chunks for chunk in of_side}
     digest = sha256("".join([*map(str, recordings), *names]).encode()).hexdigest()[:32]
     layout = _blueprint(paths, names, traces, t, values)
     with recording_file(
         path, f"replan pair {one.scenario}", " and ".join(names), digest, layout
     ) as tape:
-        for some in chunks:
-            tape.stream.send_chunks(some)
+        for of_side in chunks:
+            tape.stream.send_chunks(of_side)
         frames = np.array([frame.t for frame in one.frames]) if one.frames else t
         instants = Instants.among(t, frames)
         for (name, legend), colour in zip(LEGENDS.items(), SERIES, strict=False):
@@ -347,8 +345,12 @@ def difference(one: Trace, two: Trace) -> tuple[FloatArray, dict[str, FloatArray
         {name: np.interp(t, ego.t, getattr(ego, name), nan, nan) for name in ("x", "y", "v", "a")}
         for ego in (a, b)
     )
-    apart = {name: second[name] - first[name] for name in first}
-    return t, {"gap": np.hypot(apart["x"], apart["y"]), "v": apart["v"], "a": apart["a"]}
+    differences = {name: second[name] - first[name] for name in first}
+    return t, {
+        "gap": np.hypot(differences["x"], differences["y"]),
+        "v": differences["v"],
+        "a": differences["a"],
+    }
 
 
 def _blueprint(
@@ -387,35 +389,40 @@ def _blueprint(
         for side in SIDES
         if (lanes := [lane for lane in LANES if f"/{side}/{lane}" in paths])
     ]
-    curves, apart = list[rrb.View](), list[rrb.View]()
+    curves, differences = list[rrb.View](), list[rrb.View]()
     # Curves of both egos, which are in the recordings already
     for name, title, column, least in CURVES:
         egos = tuple(
             Curve(side, side, trace.ego.t, getattr(trace.ego, column))
             for side, trace in zip(SIDES, traces, strict=True)
         )
-        there = {
+        present = {
             path: rr.SeriesLines(names=[side], colors=[shade])
             for side, shade in zip(SIDES, SHADES, strict=True)
             if (path := f"/{side}/plots/{name}/ego") in paths
         }
         curves.append(
-            plot(Panel(name, title, egos, least), origin="/", contents=list(there), overrides=there)
+            plot(
+                Panel(name, title, egos, least),
+                origin="/",
+                contents=list(present),
+                overrides=present,
+            )
         )
     for title, shown in DIFFERENCES:
         panel = Panel(
             "difference",
             title,
-            tuple(Curve(one, LEGENDS[one], t, values[one]) for one in shown),
+            tuple(Curve(name, LEGENDS[name], t, values[name]) for name in shown),
             1.0,
         )
-        apart.append(
-            plot(panel, origin="/", contents=[*(f"/difference/{one}" for one in shown), "/parts"])
+        differences.append(
+            plot(panel, origin="/", contents=[*(f"/difference/{name}" for name in shown), "/parts"])
         )
     right = [
         words,
         *_tabs(curves),
-        *_tabs(apart),
+        *_tabs(differences),
         *(lanes_beside_numbers(part, "/A") for part in _tabs(states)),
     ]
     columns = (

@@ -35,6 +35,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from itertools import chain, repeat
 from math import isfinite, nan
+from operator import attrgetter
 
 import numpy as np
 
@@ -155,7 +156,9 @@ class Cause:
         """Sort key: causes with numbers before decisions alone, named before inferred, by
         deceleration, by time.
         """
-        need = self.need_mps2 if isfinite(self.need_mps2) else MOST_MPS2 if self.is_met else 0.0
+        need = MOST_MPS2 if self.is_met else 0.0
+        if isfinite(self.need_mps2):
+            need = self.need_mps2
         return (
             self.kind is CauseKind.WORD,
             self.inferred,
@@ -240,14 +243,14 @@ class _Case:
 
     def is_near(self, name: str) -> bool:
         """Whether an agent is, or is predicted to be, within `NEAR_M` of the way."""
-        agents, futures, way = self.frame.agents, self.frame.predictions, self.way
-        i = agents.ids.index(name)
-        reach = NEAR_M + 0.5 * float(np.hypot(agents.length[i], agents.width[i]))
-        x, y = agents.x[i : i + 1], agents.y[i : i + 1]
+        agents, futures, path = self.frame.agents, self.frame.predictions, self.way
+        row = agents.ids.index(name)
+        reach = NEAR_M + 0.5 * float(np.hypot(agents.length[row], agents.width[row]))
+        x, y = agents.x[row : row + 1], agents.y[row : row + 1]
         if futures is not None:
-            rows = futures.agent == i
+            rows = futures.agent == row
             x, y = np.r_[x, futures.x[rows].ravel()], np.r_[y, futures.y[rows].ravel()]
-        return bool(np.hypot(way.x[:, None] - x, way.y[:, None] - y).min() <= reach)
+        return bool(np.hypot(path.x[:, None] - x, path.y[:, None] - y).min() <= reach)
 
 
 class Explainer:
@@ -271,9 +274,9 @@ class Explainer:
         if not course.is_asked and not isfinite(wanted):
             return Account(frame.planned.t, course, predicted, tuple(failed))
         decided: dict[str, Decision] = {}
-        for each in plan.internals:
-            if isinstance(each, Decision) and each.kind in STAYS_BEHIND:
-                decided.setdefault(each.agent, each)
+        for decision in plan.internals:
+            if isinstance(decision, Decision) and decision.kind in STAYS_BEHIND:
+                decided.setdefault(decision.agent, decision)
         held = Held.of(plan, course, wanted)
         case = _Case(frame, course, held, self._ways.of(plan, held.reach), decided, self._scenario)
         met: list[Meeting] = []
@@ -284,55 +287,43 @@ class Explainer:
             met = meetings(
                 held, case.way, frame.agents, frame.predictions, self._scenario.vehicle, passed
             )
-        found = [_met_agent(one, case) for one in met if isfinite(one.time_s)]  # (1)
-        found += [*_stops(case), *_limit_and_curve(case), *_goal_and_end(case)]
-        known = {
-            each.agent: each for each in plan.internals if isinstance(each, Decision)
+        causes = [_met_agent(meeting, case) for meeting in met if isfinite(meeting.time_s)]  # (1)
+        causes += [*_stops(case), *_limit_and_curve(case), *_goal_and_end(case)]
+        decisions = {
+            decision.agent: decision
+            for decision in plan.internals
+            if isinstance(decision, Decision)
         } | decided
-        found = [
-            replace(
-                c,
-                decision=known[c.who].kind.value,
-                reason=known[c.who].reason,
-                inferred=c.who not in decided,
-            )
-            if c.who in known
-            else c
-            for c in found
-        ]
-        explained = {cause.who for cause in found}
-        for name, d in decided.items():  # (7)
-            named_only = name not in explained and d.kind is not DecisionKind.FOLLOW
+        for i, cause in enumerate(causes):
+            if cause.who in decisions:
+                decision, inferred = decisions[cause.who], cause.who not in decided
+                word, reason = decision.kind.value, decision.reason
+                causes[i] = replace(cause, decision=word, reason=reason, inferred=inferred)
+        explained = {cause.who for cause in causes}
+        for name, decision in decided.items():  # (7)
+            named_only = name not in explained and decision.kind is not DecisionKind.FOLLOW
             if named_only and (name not in frame.agents.ids or case.is_near(name)):
-                found.append(Cause(CauseKind.WORD, name, d.kind.value, d.reason, False, held.v))
-        found = sorted(
-            found, key=lambda cause: (not cause.accounts_for(course.a_least), cause.rank)
-        )
+                word, reason = decision.kind.value, decision.reason
+                causes.append(Cause(CauseKind.WORD, name, word, reason, False, held.v))
+        causes.sort(key=lambda cause: (not cause.accounts_for(course.a_least), cause.rank))
         enough = max(FELT_MPS2, SHARE * -course.a_least)
-        if (
-            not failed
-            and -course.a_least >= enough
-            and not any(cause.need_mps2 >= enough for cause in found)
-        ):
-            found = [*(cause for cause in _beside(case) if cause.who not in explained), *found]
-        if not failed and not (found and found[0].accounts_for(course.a_least)):
-            near = min(met, key=lambda one: one.away_m, default=None)
-            one = (
-                Cause(CauseKind.AGENT, hold_mps=held.v)
-                if near is None or found
-                else _met_agent(near, case)
-            )
-            hardest = -course.a_least if found else nan
-            none = replace(
-                one,
-                kind=CauseKind.NONE,
+        is_enough = any(cause.need_mps2 >= enough for cause in causes)
+        if not failed and -course.a_least >= enough and not is_enough:
+            causes = [*(cause for cause in _beside(case) if cause.who not in explained), *causes]
+        if not failed and not (causes and causes[0].accounts_for(course.a_least)):
+            unexplained = Cause(CauseKind.NONE, hold_mps=held.v)
+            if met and not causes:
+                nearest = min(met, key=attrgetter("away_m"))
+                unexplained = replace(_met_agent(nearest, case), kind=CauseKind.NONE)
+            unexplained = replace(
+                unexplained,
                 time_s=float(held.t[-1]),
                 distance_m=held.reach,
-                value=hardest,
+                value=-course.a_least if causes else nan,
             )
-            found = [*(_passed_or_begun(case) or [none]), *found]
-        why_not = not_passed(plan) if found and found[0].kind is CauseKind.AGENT else ()
-        return Account(frame.planned.t, course, predicted, (*failed, *found), why_not)
+            causes = [*(_passed_or_begun(case) or [unexplained]), *causes]
+        why_not = not_passed(plan) if causes and causes[0].kind is CauseKind.AGENT else ()
+        return Account(frame.planned.t, course, predicted, (*failed, *causes), why_not)
 
 
 def _met_agent(one: Meeting, case: _Case) -> Cause:
@@ -367,37 +358,31 @@ def _stops(case: _Case) -> Iterator[Cause]:
             demanded = lights.get(line.light, Colour.OFF) in (*RED, Colour.YELLOW)
         on_way = line.lane in lanes and (not line.towards or not lanes.isdisjoint(line.towards))
         if on_way and (name in case.decided or demanded):
-            way = case.way
-            x, y = way.x + front * np.cos(way.yaw), way.y + front * np.sin(way.yaw)
+            path = case.way
+            x, y = path.x + front * np.cos(path.yaw), path.y + front * np.sin(path.yaw)
             (ax, ay), (bx, by) = line.points
             # The side of the line on which the ego's front is
             side = (bx - ax) * (y - ay) - (by - ay) * (x - ax)
             i = np.flatnonzero((side[:-1] * side[1:] <= 0.0) & (side[:-1] != side[1:]))
             u = side[i] / (side[i] - side[i + 1])
             px, py = x[i] + u * (x[i + 1] - x[i]), y[i] + u * (y[i + 1] - y[i])
-            within = ((px - ax) * (bx - ax) + (py - ay) * (by - ay)) / (
-                (bx - ax) ** 2 + (by - ay) ** 2
-            )
-            crossings = (way.s[i] + u * (way.s[i + 1] - way.s[i]))[
-                (within >= 0.0) & (within <= 1.0)
-            ]
+            length2 = (bx - ax) ** 2 + (by - ay) ** 2
+            share = ((px - ax) * (bx - ax) + (py - ay) * (by - ay)) / length2
+            stations = path.s[i] + u * (path.s[i + 1] - path.s[i])
+            crossings = stations[(share >= 0.0) & (share <= 1.0)]
             places[name] = float(min(crossings, default=np.inf))
-    for thing in (
-        one for each in case.plan.internals if isinstance(each, StGraph) for one in each.obstacles
-    ):
-        if (
-            thing.agent in case.frame.agents.ids
-            or thing.agent not in case.decided
-            or not len(thing.outline)
-        ):
+    end = float(case.plan.trajectory.t[-1]) - case.frame.planned.t - STEP_S
+    graphs = [item for item in case.plan.internals if isinstance(item, StGraph)]
+    for obstacle in chain.from_iterable(graph.obstacles for graph in graphs):
+        is_agent = obstacle.agent in case.frame.agents.ids
+        if is_agent or obstacle.agent not in case.decided or not len(obstacle.outline):
             continue
-        t, s = thing.outline.T
-        place, level = float(s.min()), {float(s[t == each].min()) for each in set(t.tolist())}
-        end = float(case.plan.trajectory.t[-1]) - case.frame.planned.t - STEP_S
-        if max(level) - place < SAME_M and t.max() >= min(
-            case.held.when(place), end
-        ):  # it stands, and is still predicted when the ego would arrive
-            places[thing.agent] = place
+        t, s = obstacle.outline.T
+        nearest = float(s.min())
+        highest = max(float(s[t == instant].min()) for instant in set(t.tolist()))
+        # It stands, and is still predicted when the ego would arrive
+        if highest - nearest < SAME_M and t.max() >= min(case.held.when(nearest), end):
+            places[obstacle.agent] = nearest
     for name, place in places.items():
         need = case.held.need(place)
         if place <= case.held.reach and (case.held.drives_off or need <= MOST_MPS2):
@@ -406,11 +391,11 @@ def _stops(case: _Case) -> Iterator[Cause]:
 
 def _limit_and_curve(case: _Case) -> Iterator[Cause]:
     """(3) and (4): the speed limit and the curve along the way that require the hardest braking."""
-    held, way = case.held, case.way
+    held, path = case.held, case.way
     if held.is_start:
         return
-    limit, bend = way.limit, np.abs(way.kappa)
-    ahead = np.maximum(way.s - held.s_from, max(held.v * SOON_S, 1e-3))
+    limit, bend = path.limit, np.abs(path.kappa)
+    ahead = np.maximum(path.s - held.s_from, max(held.v * SOON_S, 1e-3))
     with np.errstate(invalid="ignore"):
         limits = np.where(limit < held.v - OVER_MPS, limit, np.nan)
         allowed = (
@@ -422,29 +407,28 @@ def _limit_and_curve(case: _Case) -> Iterator[Cause]:
             ),
         )
         for kind, target, value in allowed:
-            asks = (target < held.v) & (way.s >= held.s_from) & (way.s <= held.reach)
+            asks = (target < held.v) & (path.s >= held.s_from) & (path.s <= held.reach)
             need = np.where(asks, (held.v**2 - target**2) / (2.0 * ahead), 0.0)
-            i = int(np.argmax(asks if held.drives_off else need))
-            if need[i] >= LEAST_MPS2:
-                needed = nan if held.drives_off else float(need[i])
-                yield case.cause(kind, float(way.s[i]), needed, value=float(value[i]))
+            index = int(np.argmax(asks if held.drives_off else need))
+            if need[index] >= LEAST_MPS2:
+                needed = nan if held.drives_off else float(need[index])
+                yield case.cause(kind, float(path.s[index]), needed, value=float(value[index]))
 
 
 def _goal_and_end(case: _Case) -> Iterator[Cause]:
     """(5) and (6): the goal, and the end of the map on the way."""
-    goal, way, held, car = case.scenario.goal, case.way, case.held, case.scenario.vehicle
+    goal, car = case.scenario.goal, case.scenario.vehicle
+    path, held = case.way, case.held
     if held.drives_off:
         return
     rests, inside = case.course.v_end < STANDING_MPS, list[int]()
     if goal is not None and goal.regions:
-        x, y = (
-            way.x + car.axle_to_center * np.cos(way.yaw),
-            way.y + car.axle_to_center * np.sin(way.yaw),
-        )
-        inside = [i for i in range(len(way.s)) if goal.holds_place(float(x[i]), float(y[i]))]
-    if goal is not None and inside and way.s[inside[0]] <= held.reach:
-        first, last = float(way.s[inside[0]]), float(way.s[inside[-1]])
-        ends = inside[-1] < len(way.s) - 1  # otherwise the region continues beyond the way
+        x = path.x + car.axle_to_center * np.cos(path.yaw)
+        y = path.y + car.axle_to_center * np.sin(path.yaw)
+        inside = [i for i in range(len(path.s)) if goal.holds_place(float(x[i]), float(y[i]))]
+    if goal is not None and inside and path.s[inside[0]] <= held.reach:
+        first, last = float(path.s[inside[0]]), float(path.s[inside[-1]])
+        ends = inside[-1] < len(path.s) - 1  # otherwise the region continues beyond the way
         t = case.frame.planned.t
         # The ego leaves it before its time
         if ends and goal.t is not None and t + held.when(last) < goal.t[0]:
@@ -458,21 +442,29 @@ def _goal_and_end(case: _Case) -> Iterator[Cause]:
             yield case.cause(CauseKind.GOAL, first, need, "speed", goal.v[1])
         elif rests and last - GOAL_ROOM_M <= held.planned[-1] <= last:
             yield case.cause(CauseKind.GOAL, first, held.need(last), "place")
-    if rests and held.planned[-1] <= way.end <= held.reach:
-        yield case.cause(CauseKind.ROAD_END, way.end, held.need(way.end))
+    if rests and held.planned[-1] <= path.end <= held.reach:
+        yield case.cause(CauseKind.ROAD_END, path.end, held.need(path.end))
 
 
 def _beside(case: _Case) -> Iterator[Cause]:
     """(8): agents beside the ego that the planner follows, the nearest first."""
     car, agents, ego = case.scenario.vehicle, case.frame.agents, case.plan.trajectory.state(0)
     box = *ego.ahead(car.axle_to_center), ego.yaw
-    away: dict[str, float] = {}
-    for name, each in case.decided.items():
-        if each.kind is DecisionKind.FOLLOW and name in agents.ids:
-            i = agents.ids.index(name)
-            other = agents.x[i], agents.y[i], agents.yaw[i], agents.length[i], agents.width[i]
-            away[name] = float(distance(*box, car.length, car.width, *other))
-    for name in sorted((name for name in away if away[name] <= BESIDE_M), key=away.__getitem__):
+    distances_m: dict[str, float] = {}
+    for name, decision in case.decided.items():
+        if decision.kind is DecisionKind.FOLLOW and name in agents.ids:
+            row = agents.ids.index(name)
+            other = (
+                agents.x[row],
+                agents.y[row],
+                agents.yaw[row],
+                agents.length[row],
+                agents.width[row],
+            )
+            distances_m[name] = float(distance(*box, car.length, car.width, *other))
+    for name in sorted(
+        (name for name in distances_m if distances_m[name] <= BESIDE_M), key=distances_m.__getitem__
+    ):
         reason = case.decided[name].reason
         yield Cause(
             CauseKind.WORD,
@@ -481,7 +473,7 @@ def _beside(case: _Case) -> Iterator[Cause]:
             reason,
             False,
             case.held.v,
-            away_m=away[name],
+            away_m=distances_m[name],
         )
 
 
@@ -491,10 +483,14 @@ def _passed_or_begun(case: _Case) -> list[Cause]:
     Otherwise (10): braking that began in an earlier plan.
     """
     passed = [
-        Cause(CauseKind.WORD, each.agent, each.kind.value, each.reason, True, case.held.v)
-        for each in case.plan.internals
-        if isinstance(each, Decision) and each.kind is DecisionKind.OVERTAKE
-        if each.agent in case.frame.agents.ids and case.is_near(each.agent)
+        Cause(
+            CauseKind.WORD, decision.agent, decision.kind.value, decision.reason, True, case.held.v
+        )
+        for decision in case.plan.internals
+        if isinstance(decision, Decision)
+        and decision.kind is DecisionKind.OVERTAKE
+        and decision.agent in case.frame.agents.ids
+        and case.is_near(decision.agent)
     ]
     path, held = case.plan.trajectory, case.held
     t, a = path.t - path.t[0], float(path.a[0])
@@ -515,17 +511,15 @@ def not_passed(plan: Plan) -> tuple[str, ...]:
     """The reasons that the planner reports for passing no agent: within the lane, then by each
     other lane.
     """
-    lanes = [each for each in plan.internals if isinstance(each, LaneOption)]
-    if any(not each.against and each.name != KEEP for each in lanes):
+    lanes = [item for item in plan.internals if isinstance(item, LaneOption)]
+    if any(not item.against and item.name != KEEP for item in lanes):
         return ()
-    within = [
-        reason.removeprefix(PASS)
-        for each in plan.internals
-        if isinstance(each, Candidates) and each.stage == PASSING
-        for reason, _ in each.rejected
-        if reason.startswith(PASS)
+    passings = [
+        item for item in plan.internals if isinstance(item, Candidates) and item.stage == PASSING
     ]
+    reasons = [reason for reason, _ in chain.from_iterable(item.rejected for item in passings)]
+    within = [reason.removeprefix(PASS) for reason in reasons if reason.startswith(PASS)]
     beside = [
-        f"{each.name}: {each.against}" for each in lanes if each.against and each.name != KEEP
+        f"{item.name}: {item.against}" for item in lanes if item.against and item.name != KEEP
     ]
     return (*(f"in the lane: {reason}" for reason in within), *beside)

@@ -135,18 +135,14 @@ class Course:
         path = plan.trajectory
         t = path.t - path.t[0]
         ahead = min(1.0, float(t[-1]))
-        now, then = abs(float(path.v[0])), abs(float(np.interp(ahead, t, path.v)))
-        accel = (then - now) / max(ahead, 1e-9)
-        if max(now, then) < STANDING_MPS:
+        v_now, v_ahead = abs(float(path.v[0])), abs(float(np.interp(ahead, t, path.v)))
+        accel = (v_ahead - v_now) / max(ahead, 1e-9)
+        if max(v_now, v_ahead) < STANDING_MPS:
             action = Action.STANDS
         else:
-            action = (
-                Action.SLOWS
-                if accel < BRAKES_MPS2
-                else Action.SPEEDS
-                if accel > -BRAKES_MPS2
-                else Action.HOLDS
-            )
+            action = Action.SPEEDS if accel > -BRAKES_MPS2 else Action.HOLDS
+            if accel < BRAKES_MPS2:
+                action = Action.SLOWS
         slowest, hardest = int(np.argmin(path.v)), int(np.argmin(path.a))
         braking = np.flatnonzero((path.a <= BRAKES_MPS2) & (path.v > STANDING_MPS))
         if (
@@ -249,8 +245,8 @@ class Held:
 def path_rows(path: Trajectory) -> FloatArray:
     """Rows s, x, y, yaw, kappa `(5, k)` of a plan's path, without repeated points."""
     s = arc_lengths(path.x, path.y)
-    kept = np.r_[True, np.diff(np.floor(s / SAME_M)) > 0.0]
-    rows: FloatArray = np.stack([s, path.x, path.y, path.yaw, path.kappa])[:, kept]
+    is_new = np.r_[True, np.diff(np.floor(s / SAME_M)) > 0.0]
+    rows: FloatArray = np.stack([s, path.x, path.y, path.yaw, path.kappa])[:, is_new]
     return rows
 
 
@@ -318,10 +314,11 @@ class Ways:
         else:
             turn = last.yaw - wrap(last.yaw - yaw) - yaw
             frames = np.array([lane.line.frame(s + each) for each in d]).reshape(-1, 4)
-            x, y = frames[:, 0] - l * np.sin(frames[:, 2]), frames[:, 1] + l * np.cos(frames[:, 2])
+            line_x, line_y, line_yaw, line_kappa = frames.T
+            x, y = line_x - l * np.sin(line_yaw), line_y + l * np.cos(line_yaw)
             along = np.hypot(np.diff(np.r_[last.x, x]), np.diff(np.r_[last.y, y])).cumsum()
-            kappa = frames[:, 3] / np.maximum(1.0 - frames[:, 3] * l, 0.1)
-            beyond = np.stack([along, x, y, frames[:, 2] + turn, kappa])
+            kappa = line_kappa / np.maximum(1.0 - line_kappa * l, 0.1)
+            beyond = np.stack([along, x, y, line_yaw + turn, kappa])
         rows = np.hstack([own, beyond + np.array([[own[0, -1]], [0.0], [0.0], [0.0], [0.0]])])
         rows[3] = np.unwrap(rows[3])
         stations = np.arange(0.0, max(reach, float(own[0, -1])) + SPACING_M, SPACING_M)
@@ -400,7 +397,7 @@ def meetings(
         car.axle_to_center, car.length, car.width, MARGIN_M, VULNERABLE_MARGIN_M, 0.0, 0.0, 0.0
     )
     none, rows = np.zeros(len(agents), np.bool_), np.arange(float(len(futures)))
-    _, who, lower, upper, along, row = sweep(
+    _, swept_agents, lower, upper, along, row = sweep(
         SweptPath(way.s, way.x, way.y, way.yaw),
         # Row numbers instead of probabilities
         Futures(frozen(times), futures.agent, *map(frozen, (rows, x, y, yaw))),
@@ -415,13 +412,15 @@ def meetings(
         float(times[0]),
         1,
     )
-    found: dict[int, Meeting] = {}
-    for i, agent in enumerate(who.tolist()):
-        taken = _Taken(agent, poses[:, int(row[i])], lower[i], upper[i], float(along[i]))
-        one = _meeting(held, way, agents, taken, car)
-        if one is not None and (agent not in found or _order(one) < _order(found[agent])):
-            found[agent] = one
-    return list(found.values())
+    meetings_of: dict[int, Meeting] = {}
+    for k, agent in enumerate(swept_agents.tolist()):
+        taken = _Taken(agent, poses[:, int(row[k])], lower[k], upper[k], float(along[k]))
+        meeting = _meeting(held, way, agents, taken, car)
+        if meeting is not None and (
+            agent not in meetings_of or _order(meeting) < _order(meetings_of[agent])
+        ):
+            meetings_of[agent] = meeting
+    return list(meetings_of.values())
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -473,27 +472,29 @@ def _meeting(
     held: Held, way: PlanWay, agents: Agents, taken: _Taken, car: VehicleParameters
 ) -> Meeting | None:
     """The meeting with an agent; None if they come only from behind."""
-    here, lower, upper = np.isfinite(taken.lower), taken.lower, taken.upper
-    first = int(np.flatnonzero(here)[0])
+    on_path, lower, upper = np.isfinite(taken.lower), taken.lower, taken.upper
+    first = int(np.flatnonzero(on_path)[0])
     if _is_behind(way, held.s[first], taken.pose[:, first], car):
         return None
-    i, (x, y, yaw) = taken.agent, taken.pose[:, 0]
+    row, (x, y, yaw) = taken.agent, taken.pose[:, 0]
     ex, ey, eyaw = _center(way, 0.0, car)
-    away = distance(
-        ex, ey, eyaw, car.length, car.width, x, y, yaw, agents.length[i], agents.width[i]
+    distance_m = distance(
+        ex, ey, eyaw, car.length, car.width, x, y, yaw, agents.length[row], agents.width[row]
     )
-    speed = float(hypot(agents.vx[i], agents.vy[i]))
+    speed = float(hypot(agents.vx[row], agents.vy[row]))
     with np.errstate(invalid="ignore"):
-        met = np.flatnonzero(here & (held.s > lower - GAP_M) & (held.s < upper))  # (4)
+        met = np.flatnonzero(on_path & (held.s > lower - GAP_M) & (held.s < upper))  # (4)
         # (5)
-        close = np.flatnonzero(here & (held.s > lower - HEADWAY_S * held.v) & (held.s < upper))
+        close = np.flatnonzero(on_path & (held.s > lower - HEADWAY_S * held.v) & (held.s < upper))
         left = np.where(held.planned <= lower, lower - held.planned, np.nan)
     follows = taken.along > ALONG * speed and speed > AGENT_STANDS_MPS and not held.is_start
-    k = int(met[0]) if len(met) else int(close[0]) if len(close) and follows else -1
+    k = int(close[0]) if len(close) and follows else -1
+    if len(met):
+        k = int(met[0])
     if len(met) and _is_behind(way, held.s[k], taken.pose[:, k], car):
         return None
     need = nan
-    later = np.flatnonzero(here & (np.arange(len(lower)) >= k) & (held.t > held.t_from))
+    later = np.flatnonzero(on_path & (np.arange(len(lower)) >= k) & (held.t > held.t_from))
     if len(met) and len(later) and not held.drives_off:  # (6)
         ahead, T = lower[later] - held.s_from, held.t[later] - held.t_from
         # Half of the distance if the ego is nearer already
@@ -504,8 +505,8 @@ def _meeting(
             need = float(np.where(stops, held.v**2 / (2.0 * room), slower).max())
     least = int(np.nanargmin(left)) if np.isfinite(left).any() else -1
     return Meeting(
-        agents.ids[i],
-        float(away),
+        agents.ids[row],
+        float(distance_m),
         float(held.t[k]) if k >= 0 else nan,
         float(held.s[k]) if k >= 0 else nan,
         need,

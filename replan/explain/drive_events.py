@@ -36,14 +36,14 @@ def events(trace: Trace, plans: Sequence[PlanSummary] | None = None) -> list[Tim
         trace: The drive.
         plans: The summaries of all plans, if the trace does not hold all frames.
     """
-    found: list[TimedEvent] = []
+    changes: list[TimedEvent] = []
     status, gist, decided = None, "", dict[str, str]()
     for plan in [frame.summary for frame in trace.frames] if plans is None else plans:
         # The same reason with other numbers is not an event
         before, gist = gist, re.sub(r"[\d.]+", "#", plan.reason)
         if plan.status is not status and (status is not None or plan.status.is_fallback):
             level = "WARN" if plan.status.is_fallback else "INFO"
-            found.append(
+            changes.append(
                 TimedEvent(
                     plan.t,
                     level,
@@ -51,10 +51,10 @@ def events(trace: Trace, plans: Sequence[PlanSummary] | None = None) -> list[Tim
                 )
             )
         elif not plan.status.is_fallback and plan.reason and gist != before:
-            found.append(TimedEvent(plan.t, "INFO", plan.reason))
+            changes.append(TimedEvent(plan.t, "INFO", plan.reason))
         options = lane_options(plan)
         if (lane := taken_option(options)) != KEEP:
-            found.append(
+            changes.append(
                 TimedEvent(
                     plan.t, "INFO", f"changes lane to the {lane}: {describe_choice(options)}"
                 )
@@ -67,8 +67,8 @@ def events(trace: Trace, plans: Sequence[PlanSummary] | None = None) -> list[Tim
         for agent in dict.fromkeys([*now, *decided]):
             old, new = decided.get(agent, "no decision ()"), now.get(agent, "no decision ()")
             if old.split(" (")[0] != new.split(" (")[0]:
-                found.append(TimedEvent(plan.t, "INFO", f"{agent}: {new.removesuffix(' ()')}"))
+                changes.append(TimedEvent(plan.t, "INFO", f"{agent}: {new.removesuffix(' ()')}"))
         status, decided = plan.status, now
     detail = f": {trace.detail}" if trace.detail else ""
     level = "ERROR" if trace.end in GRAVE else "INFO"
-    return [*found, TimedEvent(float(trace.ego.t[-1]), level, f"{trace.end.value}{detail}")]
+    return [*changes, TimedEvent(float(trace.ego.t[-1]), level, f"{trace.end.value}{detail}")]

@@ -256,26 +256,30 @@ def summary(drive: StoredDrive) -> list[str]:
             phases.append([])
         phases[-1].append(account)
         before = now
-    hardest = [
-        min(phase, key=lambda one: one.course.a_least if one.causes else 0.0) for phase in phases
-    ]
+
+    def braking_mps2(account: Account) -> float:
+        return account.course.a_least if account.causes else 0.0
+
+    hardest = [min(phase, key=braking_mps2) for phase in phases]
 
     def weight(k: int) -> tuple[bool, float, int]:
-        one = hardest[k]
-        failed = bool(one.causes) and one.causes[0].kind is CauseKind.FALLBACK
-        return not failed, one.course.a_least if one.causes else 0.0, k
+        account = hardest[k]
+        failed = bool(account.causes) and account.causes[0].kind is CauseKind.FALLBACK
+        return not failed, braking_mps2(account), k
 
     shown = sorted(sorted(range(len(phases)), key=weight)[:MOST_PHASES])
     lines = []
     for k in shown:
-        one, (begin, end) = hardest[k], (phases[k][0].t, phases[k][-1].t)
+        account_of_phase, (begin, end) = hardest[k], (phases[k][0].t, phases[k][-1].t)
         braking = (
-            f", plans {one.course.a_least:.1f} m/s²"
-            if one.causes and one.course.a_least < 0.0
+            f", plans {account_of_phase.course.a_least:.1f} m/s²"
+            if account_of_phase.causes and account_of_phase.course.a_least < 0.0
             else ""
         )
-        why = f", {brief(one)}" if one.causes else ""
-        lines.append(f"{begin:.2f} to {end:.2f} s: {one.course.action.value}{braking}{why}")
+        why = f", {brief(account_of_phase)}" if account_of_phase.causes else ""
+        lines.append(
+            f"{begin:.2f} to {end:.2f} s: {account_of_phase.course.action.value}{braking}{why}"
+        )
     left = len(phases) - len(shown)
     return [*lines, f"and {counted(left, 'phase')} with less braking"] if left else lines
 
@@ -323,13 +327,9 @@ def lateral(plan: Plan) -> str:
     left, right = DecisionKind.NUDGE_LEFT in kinds, DecisionKind.NUDGE_RIGHT in kinds
     if left and right:
         return BOTH
-    return (
-        DecisionKind.NUDGE_LEFT.value
-        if left
-        else DecisionKind.NUDGE_RIGHT.value
-        if right
-        else NO_NUDGE
-    )
+    if left:
+        return DecisionKind.NUDGE_LEFT.value
+    return DecisionKind.NUDGE_RIGHT.value if right else NO_NUDGE
 
 
 def lane_options(plan: Plan | PlanSummary) -> tuple[LaneOption, ...]:
@@ -390,42 +390,46 @@ def touched(plan: Plan) -> Iterator[Touch]:
     for graph in plan.internals:
         if not isinstance(graph, Graph) or graph.corridor is None or len(graph.qp) < 2:
             continue
-        (at, x), corridor, plane = (
-            graph.qp.T,
-            graph.corridor,
-            "S-T" if isinstance(graph, StGraph) else "S-L",
-        )
+        abscissas, values = graph.qp.T
+        corridor, plane = graph.corridor, "S-T" if isinstance(graph, StGraph) else "S-L"
         for bound in ("upper", "lower"):
-            edge = np.interp(at, corridor.first, np.clip(getattr(corridor, bound), -1e6, 1e6))
+            edge = np.interp(
+                abscissas, corridor.first, np.clip(getattr(corridor, bound), -1e6, 1e6)
+            )
             inside = (
-                (at >= corridor.first[0]) & (at <= corridor.first[-1]) & (np.arange(len(at)) > 0)
+                (abscissas >= corridor.first[0])
+                & (abscissas <= corridor.first[-1])
+                & (np.arange(len(abscissas)) > 0)
             )
             marks = np.diff(
-                np.r_[False, inside & (np.abs(x - edge) < TOUCH_M), False].astype(np.int64)
+                np.r_[False, inside & (np.abs(values - edge) < TOUCH_M), False].astype(np.int64)
             )
             for begin, end in zip(
                 np.flatnonzero(marks > 0), np.flatnonzero(marks < 0) - 1, strict=True
             ):
                 middle = (begin + end) // 2
-                who = _beyond(graph, float(at[middle]), float(edge[middle]), up=bound == "upper")
-                if who or plane == "S-L" or x[end] > x[0] + TOUCH_M:
-                    yield Touch(
-                        plane, bound, who, float(at[begin]), float(at[end]), float(x[middle])
-                    )
+                agent = _beyond(
+                    graph, float(abscissas[middle]), float(edge[middle]), up=bound == "upper"
+                )
+                if agent or plane == "S-L" or values[end] > values[0] + TOUCH_M:
+                    first, last = float(abscissas[begin]), float(abscissas[end])
+                    yield Touch(plane, bound, agent, first, last, float(values[middle]))
 
 
-def _beyond(graph: Graph, at: float, edge: float, *, up: bool) -> str:
+def _beyond(graph: Graph, abscissa: float, edge: float, *, up: bool) -> str:
     """The obstacle whose outline is nearest beyond an edge."""
-    best, who = BOUND_M, ""
-    for thing in graph.obstacles:
-        points = thing.outline
+    least, nearest = BOUND_M, ""
+    for obstacle in graph.obstacles:
+        points = obstacle.outline
         if (
             not len(points)
-            or not points[:, 0].min() - TOUCH_M <= at <= points[:, 0].max() + TOUCH_M
+            or not points[:, 0].min() - TOUCH_M <= abscissa <= points[:, 0].max() + TOUCH_M
         ):
             continue
-        near = points[np.abs(points[:, 0] - at) <= np.abs(points[:, 0] - at).min() + TOUCH_M]
-        away = float(near[:, 1].min() - edge if up else edge - near[:, 1].max())
-        if -TOUCH_M <= away < best:
-            best, who = away, thing.agent
-    return who
+        near = points[
+            np.abs(points[:, 0] - abscissa) <= np.abs(points[:, 0] - abscissa).min() + TOUCH_M
+        ]
+        distance = float(near[:, 1].min() - edge if up else edge - near[:, 1].max())
+        if -TOUCH_M <= distance < least:
+            least, nearest = distance, obstacle.agent
+    return nearest

@@ -27,6 +27,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import chain
 from math import inf, log10
+from operator import attrgetter
 
 import numpy as np
 
@@ -120,49 +121,47 @@ def first_difference(one: Trace, two: Trace) -> FirstDifference | None:
     """
     n = _together(one.ego.t, two.ego.t)
     t, moved = one.ego.t[:n], "vehicle" if one.mode is Mode.CLOSED else "input frame"
-    found: list[_Difference] = []
+    differences: list[_Difference] = []
     for name, unit in (("x", "m"), ("y", "m"), ("v", "m/s")):
         columns = getattr(one.ego, name)[:n], getattr(two.ego, name)[:n]
-        found += _rows(t, columns, ("input frame", moved), f"the ego's {name}", unit)
+        differences += _rows(t, columns, ("input frame", moved), f"the ego's {name}", unit)
     if one.commands is not None and two.commands is not None:
         for name, unit in (("steer", "rad"), ("throttle", ""), ("brake", "")):
             columns = getattr(one.commands, name)[:n], getattr(two.commands, name)[:n]
-            found += _rows(t, columns, ("controller", "controller"), f"commanded {name}", unit)
+            differences += _rows(
+                t, columns, ("controller", "controller"), f"commanded {name}", unit
+            )
     last = [float(trace.ego.t[-1]) for trace in (one, two)]
     ends = [
         f"{trace.end.value}{f': {trace.detail}' if trace.detail else ''}" for trace in (one, two)
     ]
     if abs(last[0] - last[1]) > SAME_TIME_S or ends[0] != ends[1]:
-        what = f"{ends[0]} at {last[0]:.2f} s -> {ends[1]} at {last[1]:.2f} s"
-        found.append(_Difference(min(last), "end", inf, partial(str, what)))
-    for some in _frame_differences(one, two):
-        found += some
-        clear = [each.t for each in found if each.size > FINE]
-        if (
-            clear
-            and some
-            and some[0].t >= min(clear)
-            and any(each.size > TOLERANCE for each in found)
-        ):
+        sentence = f"{ends[0]} at {last[0]:.2f} s -> {ends[1]} at {last[1]:.2f} s"
+        differences.append(_Difference(min(last), "end", inf, partial(str, sentence)))
+    for of_frame in _frame_differences(one, two):
+        differences += of_frame
+        fine_times = [difference.t for difference in differences if difference.size > FINE]
+        is_after = of_frame and fine_times and of_frame[0].t >= min(fine_times)
+        if is_after and any(difference.size > TOLERANCE for difference in differences):
             break
-    if not any(each.size > TOLERANCE for each in found):  # (1)
+    fine = [difference for difference in differences if difference.size > FINE]
+    large = [difference for difference in differences if difference.size > TOLERANCE]
+    if not large:  # (1)
         return None
-    first = min((each for each in found if each.size > FINE), key=lambda each: each.place)  # (2)
-    seen = min((each for each in found if each.size > TOLERANCE), key=lambda each: each.place)
-    later = (
-        f"; more than {TOLERANCE:g} from t = {seen.t:.2f} s on ({seen.stage})"
-        if first.size <= TOLERANCE
-        else ""
-    )
-    what = f"t = {first.t:.2f} s, {first.stage}: {first.describe()}{later}"
-    return FirstDifference(first.t, first.stage, ShortNames(one.agents.ids)(what))
+    first = min(fine, key=attrgetter("place"))  # (2)
+    clear = min(large, key=attrgetter("place"))
+    later = ""
+    if first.size <= TOLERANCE:
+        later = f"; more than {TOLERANCE:g} from t = {clear.t:.2f} s on ({clear.stage})"
+    sentence = f"t = {first.t:.2f} s, {first.stage}: {first.describe()}{later}"
+    return FirstDifference(first.t, first.stage, ShortNames(one.agents.ids)(sentence))
 
 
 def _rows(
     t: FloatArray,
     columns: tuple[FloatArray, FloatArray],
     stages: tuple[str, str],
-    what: str,
+    quantity: str,
     unit: str,
 ) -> Iterator[_Difference]:
     """The first row beyond FINE, and the first beyond TOLERANCE; `stages` of the first row, and of
@@ -172,16 +171,16 @@ def _rows(
     size = _sizes(one, two)
     for bound in (FINE, TOLERANCE):
         if (size > bound).any():
-            i = int(np.argmax(size > bound))
-            describe = partial(_numbers, what, one[i], two[i], unit)
-            yield _Difference(float(t[i]), stages[i > 0], float(size[i]), describe)
+            row = int(np.argmax(size > bound))
+            describe = partial(_numbers, quantity, one[row], two[row], unit)
+            yield _Difference(float(t[row]), stages[row > 0], float(size[row]), describe)
 
 
 def _together(one: FloatArray, two: FloatArray) -> int:
     """The number of instants at the start that are the same in both."""
     n = min(len(one), len(two))
-    apart = np.flatnonzero(np.abs(one[:n] - two[:n]) > SAME_TIME_S)
-    return int(apart[0]) if len(apart) else n
+    different = np.flatnonzero(np.abs(one[:n] - two[:n]) > SAME_TIME_S)
+    return int(different[0]) if len(different) else n
 
 
 # frame by frame -----------------------------------------------------------------------------------
@@ -196,52 +195,56 @@ def _frame_differences(one: Trace, two: Trace) -> Iterator[list[_Difference]]:
     insides = [
         [item for frame in trace.frames for item in frame.plan.internals] for trace in (one, two)
     ]
-    kept: set[type] = {
+    common_kinds: set[type] = {
         kind
         for kind in (SlGraph, StGraph)
-        if all(any(isinstance(item, kind) for item in some) for some in insides)
+        if all(any(isinstance(item, kind) for item in items) for items in insides)
     }
     for key in sorted(frames[0].keys() | frames[1].keys()):
-        before, now = (side.get(key) for side in frames)
-        if before is None or now is None:
-            t, which = key * SAME_TIME_S, "second" if before is None else "first"
+        before, after = (side.get(key) for side in frames)
+        if before is None or after is None:
+            t, drive = key * SAME_TIME_S, "second" if before is None else "first"
             yield [
                 _Difference(
                     t,
                     "input frame",
                     inf,
-                    partial(str, f"a plan was made in the {which} drive only"),
+                    partial(str, f"a plan was made in the {drive} drive only"),
                 )
             ]
         else:
             yield [
                 _Difference(before.t, stage, size, describe)
-                for stage, found in (
-                    ("input frame", _others(one, two, before, now)),
-                    ("prediction", _prediction_differences(before, now)),
-                    *_inside(before, now, kept),
-                    ("plan", _plan_differences(before, now)),
+                for stage, differences in (
+                    ("input frame", _others(one, two, before, after)),
+                    ("prediction", _prediction_differences(before, after)),
+                    *_inside(before, after, common_kinds),
+                    ("plan", _plan_differences(before, after)),
                 )
-                for size, describe in found
+                for size, describe in differences
             ]
 
 
 _Found = Iterator[tuple[float, Callable[[], str]]]
 
 
-def _others(one: Trace, two: Trace, before: PlannedFrame, now: PlannedFrame) -> _Found:
+def _others(one: Trace, two: Trace, before: PlannedFrame, after: PlannedFrame) -> _Found:
     """Differences of the agents that were shown to the planner, and of their states."""
-    kept = before.predictions is not None and now.predictions is not None  # else an older trace
-    if kept and set(before.agents) != set(now.agents):
-        yield inf, partial(_words, "agents", before.agents, now.agents)
+    has_predictions = (
+        before.predictions is not None and after.predictions is not None
+    )  # else an older trace
+    if has_predictions and set(before.agents) != set(after.agents):
+        yield inf, partial(_words, "agents", before.agents, after.agents)
         return
-    seen = [trace.agents if trace.perceived is None else trace.perceived for trace in (one, two)]
-    known = [tracks.perceived(before.t) for tracks in seen]
-    if set(known[0].ids) != set(known[1].ids):
-        yield inf, partial(_words, "agents", known[0].ids, known[1].ids)
+    tracks_of = [
+        trace.agents if trace.perceived is None else trace.perceived for trace in (one, two)
+    ]
+    shown = [tracks.perceived(before.t) for tracks in tracks_of]
+    if set(shown[0].ids) != set(shown[1].ids):
+        yield inf, partial(_words, "agents", shown[0].ids, shown[1].ids)
         return
-    row = {name: i for i, name in enumerate(known[1].ids)}
-    order = [row[name] for name in known[0].ids]
+    row = {name: i for i, name in enumerate(shown[1].ids)}
+    order = [row[name] for name in shown[0].ids]
     for name, unit in (
         ("x", "m"),
         ("y", "m"),
@@ -250,18 +253,19 @@ def _others(one: Trace, two: Trace, before: PlannedFrame, now: PlannedFrame) -> 
         ("vy", "m/s"),
         ("length", "m"),
     ):
-        where = [f"{name} of {who}" for who in known[0].ids]
+        labels = [f"{name} of {agent}" for agent in shown[0].ids]
         yield from _largest(
-            getattr(known[0], name), getattr(known[1], name)[order], where.__getitem__, unit
+            getattr(shown[0], name), getattr(shown[1], name)[order], labels.__getitem__, unit
         )
 
 
-def _prediction_differences(before: PlannedFrame, now: PlannedFrame) -> _Found:
-    old, new = before.predictions, now.predictions
+def _prediction_differences(before: PlannedFrame, after: PlannedFrame) -> _Found:
+    old, new = before.predictions, after.predictions
     if old is None or new is None or old.t.shape != new.t.shape:
         return
     names = [
-        tuple(frame.agents[i] for i in some.agent) for frame, some in ((before, old), (now, new))
+        tuple(frame.agents[i] for i in predictions.agent)
+        for frame, predictions in ((before, old), (after, new))
     ]
     if names[0] != names[1]:
         yield inf, partial(_words, "hypotheses", names[0], names[1])
@@ -271,12 +275,12 @@ def _prediction_differences(before: PlannedFrame, now: PlannedFrame) -> _Found:
     )
     for name in ("x", "y"):
         one, two = getattr(old, name), getattr(new, name)
-        where = [f"{name} of {who} in {t - before.t:g} s" for who in names[0] for t in old.t]
-        yield from _largest(one.ravel(), two.ravel(), where.__getitem__, "m")
+        labels = [f"{name} of {agent} in {t - before.t:g} s" for agent in names[0] for t in old.t]
+        yield from _largest(one.ravel(), two.ravel(), labels.__getitem__, "m")
 
 
-def _plan_differences(before: PlannedFrame, now: PlannedFrame) -> _Found:
-    old, new = before.plan, now.plan
+def _plan_differences(before: PlannedFrame, after: PlannedFrame) -> _Found:
+    old, new = before.plan, after.plan
     for name in ("status", "start"):
         words = (getattr(old, name).value, getattr(new, name).value)
         if words[0] != words[1]:
@@ -295,9 +299,9 @@ def _plan_differences(before: PlannedFrame, now: PlannedFrame) -> _Found:
         )
         return
     for name, unit in (("x", "m"), ("y", "m"), ("v", "m/s")):
-        where = [f"{name} in {t - before.t:g} s" for t in old.trajectory.t]
+        labels = [f"{name} in {t - before.t:g} s" for t in old.trajectory.t]
         yield from _largest(
-            getattr(old.trajectory, name), getattr(new.trajectory, name), where.__getitem__, unit
+            getattr(old.trajectory, name), getattr(new.trajectory, name), labels.__getitem__, unit
         )
 
 
@@ -305,26 +309,27 @@ def _plan_differences(before: PlannedFrame, now: PlannedFrame) -> _Found:
 
 
 def _inside(
-    before: PlannedFrame, now: PlannedFrame, kept: set[type]
+    before: PlannedFrame, after: PlannedFrame, common_kinds: set[type]
 ) -> Iterator[tuple[str, _Found]]:
     """Differences of stage artefacts, if both plans have some; `kept`: the kinds of graphs that
     both traces have.
     """
-    one, two = tuple(before.plan.internals), tuple(now.plan.internals)
+    one, two = tuple(before.plan.internals), tuple(after.plan.internals)
     if not one or not two:
         return
-    taken = [
-        [x.name for x in side if isinstance(x, LaneOption) and not x.against] for side in (one, two)
+    choices = [
+        [option.name for option in side if isinstance(option, LaneOption) and not option.against]
+        for side in (one, two)
     ]
-    if taken[0] and taken[1] and taken[0] != taken[1]:
+    if choices[0] and choices[1] and choices[0] != choices[1]:
         costs = "; ".join(
-            f"{x.name} {x.cost:.2f} s{f' ({x.against})' if x.against else ''}"
-            for x in two
-            if isinstance(x, LaneOption)
+            f"{option.name} {option.cost:.2f} s{f' ({option.against})' if option.against else ''}"
+            for option in two
+            if isinstance(option, LaneOption)
         )
         yield (
             "lane choice",
-            iter([(inf, partial(str, f"{taken[0][0]} -> {taken[1][0]} (now {costs})"))]),
+            iter([(inf, partial(str, f"{choices[0][0]} -> {choices[1][0]} (now {costs})"))]),
         )
     paths = _graphs(one, two, SlGraph)
     if paths is not None:
@@ -342,17 +347,14 @@ def _inside(
         yield "speed QP", _curve(speeds[0].qp, speeds[1].qp, "station", "{:g} s")
     yield "speed DP", _decision_differences(one, two, "speed")
     for kind, stage in ((SlGraph, "path QP"), (StGraph, "speed QP")):
-        there = [any(isinstance(item, kind) for item in items) for items in (one, two)]
-        if kind in kept and there[0] != there[1]:
+        has_graph = [any(isinstance(item, kind) for item in items) for items in (one, two)]
+        if kind in common_kinds and has_graph[0] != has_graph[1]:
             yield (
                 stage,
-                iter([(inf, partial(str, "solved now" if there[1] else "no longer solved"))]),
+                iter([(inf, partial(str, "solved now" if has_graph[1] else "no longer solved"))]),
             )
     named = [
-        item.stage
-        for side in (one, two)
-        for item in side
-        if isinstance(item, Decision | CostTerms | Candidates)
+        item.stage for item in (*one, *two) if isinstance(item, Decision | CostTerms | Candidates)
     ]
     for stage in dict.fromkeys(name for name in named if name not in ("path", "speed", *STAGES)):
         yield (
@@ -364,11 +366,13 @@ def _inside(
 def _graphs(
     one: Sequence[object], two: Sequence[object], kind: type[Graph]
 ) -> tuple[Graph, Graph] | None:
-    found = [next((item for item in items if isinstance(item, kind)), None) for items in (one, two)]
-    return (found[0], found[1]) if found[0] is not None and found[1] is not None else None
+    graphs = [
+        next((item for item in items if isinstance(item, kind)), None) for items in (one, two)
+    ]
+    return (graphs[0], graphs[1]) if graphs[0] is not None and graphs[1] is not None else None
 
 
-def _room(one: Graph, two: Graph, value: str, at: str, *, moves: bool) -> _Found:
+def _room(one: Graph, two: Graph, value: str, abscissa: str, *, moves: bool) -> _Found:
     """Differences of the obstacles (`moves=False` only), of the choice of the DP, and of the
     available space.
     """
@@ -379,13 +383,13 @@ def _room(one: Graph, two: Graph, value: str, at: str, *, moves: bool) -> _Found
     for agent in (name for name in sides[0] if name in sides[1]):
         if sides[0][agent] != sides[1][agent]:
             yield inf, partial(str, f"{agent}: {sides[0][agent]} -> {sides[1][agent]}")
-    yield from _curve(one.dp, two.dp, f"{value} of the DP", at)
+    yield from _curve(one.dp, two.dp, f"{value} of the DP", abscissa)
     if one.corridor is not None and two.corridor is not None:
         for name in ("lower", "upper"):
             columns = [
                 np.column_stack([c.first, getattr(c, name)]) for c in (one.corridor, two.corridor)
             ]
-            yield from _curve(columns[0], columns[1], f"{name} bound", at)
+            yield from _curve(columns[0], columns[1], f"{name} bound", abscissa)
 
 
 def _outlines(one: Graph, two: Graph) -> _Found:
@@ -398,8 +402,8 @@ def _outlines(one: Graph, two: Graph) -> _Found:
         if old.outline.shape != new.outline.shape:
             yield inf, partial(str, f"{old.agent} occupies the path at other times")
         else:
-            where = [f"outline of {old.agent}"] * old.outline.size
-            yield from _largest(old.outline.ravel(), new.outline.ravel(), where.__getitem__, "")
+            labels = [f"outline of {old.agent}"] * old.outline.size
+            yield from _largest(old.outline.ravel(), new.outline.ravel(), labels.__getitem__, "")
 
 
 def _decision_differences(one: Sequence[object], two: Sequence[object], stage: str) -> _Found:
@@ -412,26 +416,23 @@ def _decision_differences(one: Sequence[object], two: Sequence[object], stage: s
         for side in (one, two)
     ]
     for agent in dict.fromkeys([*decided[0], *decided[1]]):
-        before, now = (side.get(agent, "no decision") for side in decided)
-        if before != now:
-            yield inf, partial(str, f"{agent}: {before} -> {now}")
+        before, after = (side.get(agent, "no decision") for side in decided)
+        if before != after:
+            yield inf, partial(str, f"{agent}: {before} -> {after}")
 
 
 def _count_differences(one: Sequence[object], two: Sequence[object], stage: str) -> _Found:
     """Differences of the costs and the candidates of a stage, if both plans have them."""
     counts = []
     for side in (one, two):
-        costs = {
-            name: value
-            for x in side
-            if isinstance(x, CostTerms) and x.stage == stage
-            for name, value in x.terms
-        }
-        mine = [x for x in side if isinstance(x, Candidates) and x.stage == stage]
-        rejected = {
-            f"candidates rejected, {name}": float(count) for x in mine for name, count in x.rejected
-        }
-        counts.append({f"cost of {name}": value for name, value in costs.items()} | rejected)
+        values: dict[str, float] = {}
+        for item in side:
+            if isinstance(item, CostTerms) and item.stage == stage:
+                values |= {f"cost of {name}": cost for name, cost in item.terms}
+            elif isinstance(item, Candidates) and item.stage == stage:
+                rejected = item.rejected
+                values |= {f"candidates rejected, {name}": float(n) for name, n in rejected}
+        counts.append(values)
     names = [name for name in counts[0] if name in counts[1]]
     columns = [np.array([side[name] for name in names], np.float64) for side in counts]
     yield from _largest(columns[0], columns[1], names.__getitem__, "")
@@ -444,21 +445,21 @@ def _sizes(one: FloatArray, two: FloatArray) -> FloatArray:
     """Absolute differences `(n,)`; inf if only one value is a number."""
     same: BoolArray = (one == two) | (np.isnan(one) & np.isnan(two))
     with np.errstate(invalid="ignore"):
-        apart = np.abs(two - one)
-    return np.where(same, 0.0, np.where(np.isnan(apart), inf, apart))
+        sizes = np.abs(two - one)
+    return np.where(same, 0.0, np.where(np.isnan(sizes), inf, sizes))
 
 
-def _largest(one: FloatArray, two: FloatArray, place: Callable[[int], str], unit: str) -> _Found:
+def _largest(one: FloatArray, two: FloatArray, label_of: Callable[[int], str], unit: str) -> _Found:
     if len(one) != len(two):
         yield inf, partial(str, f"{len(one)} -> {len(two)} values")
     elif len(one):
         size = _sizes(one, two)
-        i = int(np.argmax(size))
-        if size[i] > FINE:
-            yield float(size[i]), lambda: _numbers(place(i), one[i], two[i], unit)
+        row = int(np.argmax(size))
+        if size[row] > FINE:
+            yield float(size[row]), lambda: _numbers(label_of(row), one[row], two[row], unit)
 
 
-def _curve(one: FloatArray, two: FloatArray, value: str, at: str) -> _Found:
+def _curve(one: FloatArray, two: FloatArray, value: str, abscissa: str) -> _Found:
     """Curves `(n, 2)` of a value, m, over a time or station, formatted by `at`: where both exist,
     then their ends.
     """
@@ -467,35 +468,37 @@ def _curve(one: FloatArray, two: FloatArray, value: str, at: str) -> _Found:
             yield inf, partial(str, f"{value}: {'none' if len(two) == 0 else 'there now'}")
         return
     if one.shape == two.shape:
-        x, before, now = one[:, 0], one[:, 1], two[:, 1]
+        x, before, after = one[:, 0], one[:, 1], two[:, 1]
     else:
         x = one[(one[:, 0] >= two[0, 0]) & (one[:, 0] <= two[-1, 0]), 0]
-        before, now = (np.interp(x, *curve.T) for curve in (one, two))
-    found = list(
-        _largest(before, now, lambda i: f"{value} at {at.format(float(f'{x[i]:.4g}'))}", "m")
+        before, after = (np.interp(x, *curve.T) for curve in (one, two))
+    differences = list(
+        _largest(
+            before, after, lambda i: f"{value} at {abscissa.format(float(f'{x[i]:.4g}'))}", "m"
+        )
     )
-    yield from found
-    if one.shape != two.shape and not any(size > TOLERANCE for size, _ in found):
-        ends = " -> ".join(at.format(float(f"{curve[-1, 0]:.4g}")) for curve in (one, two))
+    yield from differences
+    if one.shape != two.shape and not any(size > TOLERANCE for size, _ in differences):
+        ends = " -> ".join(abscissa.format(float(f"{curve[-1, 0]:.4g}")) for curve in (one, two))
         yield inf, partial(str, f"{value} ends at {ends}")
 
 
-def _numbers(what: str, one: float, two: float, unit: str) -> str:
+def _numbers(quantity: str, one: float, two: float, unit: str) -> str:
     """Both values with as many digits as show that they differ."""
-    apart = abs(two - one)
-    digits = int(np.clip(1 - np.floor(log10(apart)), 2, 9)) if 0.0 < apart < inf else 2
-    return f"{what} {one:.{digits}f} -> {two:.{digits}f}{f' {unit}' if unit else ''}"
+    size = abs(two - one)
+    digits = int(np.clip(1 - np.floor(log10(size)), 2, 9)) if 0.0 < size < inf else 2
+    return f"{quantity} {one:.{digits}f} -> {two:.{digits}f}{f' {unit}' if unit else ''}"
 
 
-def _words(what: str, one: Sequence[str], two: Sequence[str]) -> str:
+def _words(noun: str, one: Sequence[str], two: Sequence[str]) -> str:
     """The names that were added and removed."""
-    new, gone = ([name for name in a if name not in b] for a, b in ((two, one), (one, two)))
+    added, removed = ([name for name in a if name not in b] for a, b in ((two, one), (one, two)))
     parts = [
-        f"{word} {', '.join(some[:3])}{' ...' if len(some) > 3 else ''}"
-        for word, some in (("no longer", gone), ("now also", new))
-        if some
+        f"{word} {', '.join(names[:3])}{' ...' if len(names) > 3 else ''}"
+        for word, names in (("no longer", removed), ("now also", added))
+        if names
     ]
-    return f"{what}: {'; '.join(parts) or 'in another order or number'}"
+    return f"{noun}: {'; '.join(parts) or 'in another order or number'}"
 
 
 PARTED_MPS, PARTED_M, AHEAD_S = 1.0, 0.5, 3.0
@@ -510,21 +513,21 @@ def planners_part(one: Trace, two: Trace) -> FirstDifference | None:
         t, states = old.t, []
         for trace, frame in ((one, old), (two, new)):
             planned = frame.plan.trajectory
-            then = min(frame.t + AHEAD_S, float(planned.t[-1]))
-            states.append(trace.ego.at(t) if trace.mode is Mode.CLOSED else planned.at(then))
+            t_ahead = min(frame.t + AHEAD_S, float(planned.t[-1]))
+            states.append(trace.ego.at(t) if trace.mode is Mode.CLOSED else planned.at(t_ahead))
         first, second = states
         across = (second.y - first.y) * np.cos(first.yaw) - (second.x - first.x) * np.sin(first.yaw)
         if abs(first.v - second.v) > PARTED_MPS or abs(across) > PARTED_M:  # (3)
-            when = (
+            instant = (
                 f"t = {t:.2f} s" if one.mode is Mode.CLOSED else f"t = {t:.2f} s, in {AHEAD_S:g} s"
             )
             side = f", {abs(across):.1f} m to the {'left' if across > 0.0 else 'right'}"
-            before, now = (
-                f"{state.v:.1f} m/s ({decided(f.plan)})"
-                for state, f in zip(states, (old, new), strict=True)
+            before, after = (
+                f"{state.v:.1f} m/s ({decided(frame_of_side.plan)})"
+                for state, frame_of_side in zip(states, (old, new), strict=True)
             )
-            what = f"{when}: {before} -> {now}{side if abs(across) > PARTED_M else ''}"
-            return FirstDifference(t, "plan", ShortNames(one.agents.ids)(what))
+            sentence = f"{instant}: {before} -> {after}{side if abs(across) > PARTED_M else ''}"
+            return FirstDifference(t, "plan", ShortNames(one.agents.ids)(sentence))
     return None
 
 

@@ -83,14 +83,14 @@ def agents_shown(trace: Trace, t: float) -> Agents:
 
     Their order is not that of the frame.
     """
-    some = trace.perceived
-    if some is None:
+    tracks = trace.perceived
+    if tracks is None:
         return trace.agents.perceived(t)
-    at = np.flatnonzero(np.abs(some.t - t) < SAME_TIME_S)
-    rows = np.searchsorted(some.offsets, at, side="right") - 1
-    poses = (getattr(some, name)[at] for name in ("x", "y", "yaw", "vx", "vy"))
-    ids, kinds = (tuple(names[i] for i in rows) for names in (some.ids, some.kinds))
-    return Agents(ids, kinds, some.length[rows], some.width[rows], *poses)
+    samples = np.flatnonzero(np.abs(tracks.t - t) < SAME_TIME_S)
+    rows = np.searchsorted(tracks.offsets, samples, side="right") - 1
+    poses = (getattr(tracks, name)[samples] for name in ("x", "y", "yaw", "vx", "vy"))
+    ids, kinds = (tuple(names[i] for i in rows) for names in (tracks.ids, tracks.kinds))
+    return Agents(ids, kinds, tracks.length[rows], tracks.width[rows], *poses)
 
 
 def actual_occupancy(trace: Trace, scenario: Scenario) -> Iterator[list[FloatArray]]:
@@ -109,51 +109,55 @@ def actual_occupancy(trace: Trace, scenario: Scenario) -> Iterator[list[FloatArr
     end = float(trace.ego.t[-1])
     beyond = np.arange(0.5, BEYOND_M + 0.5, 0.5)
     for frame in trace.frames:
-        graph = next((each for each in frame.plan.internals if isinstance(each, StGraph)), None)
-        things = (
-            [thing for thing in graph.obstacles if thing.decision is not DecisionKind.IGNORE]
+        graph = next((item for item in frame.plan.internals if isinstance(item, StGraph)), None)
+        obstacles = (
+            [
+                obstacle
+                for obstacle in graph.obstacles
+                if obstacle.decision is not DecisionKind.IGNORE
+            ]
             if graph
             else []
         )
-        names = dict.fromkeys(thing.agent for thing in things if thing.agent in rows)
+        names = dict.fromkeys(obstacle.agent for obstacle in obstacles if obstacle.agent in rows)
         if not names:
             yield []
             continue
-        own = path_rows(frame.plan.trajectory)[:4]
-        yaw = own[3, -1]
+        plan_rows = path_rows(frame.plan.trajectory)[:4]
+        yaw = plan_rows[3, -1]
         ahead = np.stack([beyond, beyond * np.cos(yaw), beyond * np.sin(yaw), 0.0 * beyond])
-        way = np.ascontiguousarray(np.hstack([own, own[:, -1:] + ahead]))
-        found = (_outline(trace.agents, rows[name], frame, way, end, ego) for name in names)
-        yield [outline for outline in found if outline is not None]
+        path = np.ascontiguousarray(np.hstack([plan_rows, plan_rows[:, -1:] + ahead]))
+        outlines = (_outline(trace.agents, rows[name], frame, path, end, ego) for name in names)
+        yield [outline for outline in outlines if outline is not None]
 
 
 def _outline(
-    tracks: Tracks, i: int, frame: PlannedFrame, way: FloatArray, end: float, ego: Swept
+    tracks: Tracks, row: int, frame: PlannedFrame, path: FloatArray, end: float, ego: Swept
 ) -> FloatArray | None:
     """The outline of an agent on the path until the drive, its log or the plan ends; None if it is
     never on it.
     """
-    own = slice(int(tracks.offsets[i]), int(tracks.offsets[i + 1]))
+    samples = slice(int(tracks.offsets[row]), int(tracks.offsets[row + 1]))
     last = min(
         end,
         float(frame.plan.trajectory.t[-1]),
-        np.inf if tracks.static[i] else float(tracks.t[own][-1]),
+        np.inf if tracks.static[row] else float(tracks.t[samples][-1]),
     )
     times = frame.t + STEP_S * np.arange(int(np.floor((last - frame.t) / STEP_S + 1e-9)) + 1)
     if len(times) < 2:
         return None
-    columns = tracks.x[own], tracks.y[own], np.unwrap(tracks.yaw[own])
-    x, y, yaw = (np.interp(times, tracks.t[own], column)[None] for column in columns)
-    one, zero, no = np.zeros(1, np.int64), np.zeros(1), np.zeros(1, np.bool_)
-    futures = Futures(frozen(times), one, *map(frozen, (zero, x, y, yaw)))
+    columns = tracks.x[samples], tracks.y[samples], np.unwrap(tracks.yaw[samples])
+    x, y, yaw = (np.interp(times, tracks.t[samples], column)[None] for column in columns)
+    agent, zero, no_role = np.zeros(1, np.int64), np.zeros(1), np.zeros(1, np.bool_)
+    futures = Futures(frozen(times), agent, *map(frozen, (zero, x, y, yaw)))
     bodies = Bodies(
-        *map(frozen, (zero, zero, zero, zero, zero, tracks.length[[i]], tracks.width[[i]]))
+        *map(frozen, (zero, zero, zero, zero, zero, tracks.length[[row]], tracks.width[[row]]))
     )
     t, _, lower, upper, _, _ = sweep(
-        SweptPath(*way), futures, bodies, Roles(no, no, no), ego, float(frame.t), 1
+        SweptPath(*path), futures, bodies, Roles(no_role, no_role, no_role), ego, float(frame.t), 1
     )
     if not len(lower):
         return None
-    there = np.isfinite(lower[0])
-    low, high = np.column_stack([t, lower[0]])[there], np.column_stack([t, upper[0]])[there]
+    on_path = np.isfinite(lower[0])
+    low, high = np.column_stack([t, lower[0]])[on_path], np.column_stack([t, upper[0]])[on_path]
     return np.vstack([low, high[::-1]])

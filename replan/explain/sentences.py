@@ -103,24 +103,24 @@ def conflicts(account: Account) -> list[Cause]:
     """The causes except fallbacks, one for each conflict: an agent in the reason of an earlier stop
     is not repeated.
     """
-    kept: list[Cause] = []
+    separate: list[Cause] = []
     named: set[str] = set()
     causes = [cause for cause in account.causes if cause.kind is not CauseKind.FALLBACK]
     agents = [cause.who for cause in causes if cause.kind in (CauseKind.AGENT, CauseKind.WORD)]
     for cause in causes:
         if cause.who not in named:
-            kept.append(cause)
+            separate.append(cause)
         if cause.kind is CauseKind.STOP:
             # if a reason names several agents, the last one is taken: the first may be a common
             # noun; many agents are called by a number, and a number with a fraction is a
             # measurement
-            found = {
-                hit.start(): who
-                for who in filter(None, agents)
-                for hit in re.finditer(rf"(?<![\w.]){re.escape(who)}(?!\w|\.\d)", cause.reason)
+            positions = {
+                hit.start(): agent
+                for agent in filter(None, agents)
+                for hit in re.finditer(rf"(?<![\w.]){re.escape(agent)}(?!\w|\.\d)", cause.reason)
             }
-            named |= {found[max(found)]} if found else set()
-    return kept
+            named |= {positions[max(positions)]} if positions else set()
+    return separate
 
 
 def _join(*parts: str) -> str:

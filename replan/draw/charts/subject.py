@@ -76,14 +76,14 @@ def worst_moment(drive: StoredDrive) -> Moment:
         about = f" ({worst.reason})" if worst.reason else ""
         return Moment(float(worst.time_s), f"{worst.gate} fails: {worst.value:.4g}{about}")
     failure = "a gate fails, at no instant; " if len(failed) else "no gate of this loop fails; "
-    found = {
+    timed = {
         row.metric: row
         for row in list[Any](drive.metrics.itertuples())
         if row.available and isfinite(row.time_s)
     }
     for name, words in NEAREST:
-        if name in found:
-            near = found[name]
+        if name in timed:
+            near = timed[name]
             about = f" ({near.reason})" if near.reason else ""
             return Moment(
                 float(near.time_s), f"{failure}{words}: {near.value:.3g} {near.unit}{about}"
@@ -104,7 +104,7 @@ def gravity(row: str) -> int:
 
 def violations(drive: StoredDrive) -> list[Violation]:
     """The failed gates of a drive, and the times at which it broke them."""
-    found = list[Violation]()
+    broken = list[Violation]()
     failed = drive.verdicts[drive.verdicts["outcome"] == Outcome.FAIL.value]
     for row in list[Any](failed.itertuples()):
         series, _, reduction = row.metric.rpartition(".")
@@ -114,14 +114,11 @@ def violations(drive: StoredDrive) -> list[Violation]:
         # the bounds that steps break: those of the reduction, otherwise those of the rule; infinite
         # if there are none
         metric = METRICS.get(series.partition(".")[0])
-        how = (
-            next((some for some in metric.reductions if some.name == reduction), None)
-            if metric
-            else None
-        )
+        reductions = {item.name: item for item in metric.reductions} if metric else {}
+        bounds = reductions[reduction].bounds if reduction in reductions else None
         low, high = -inf, inf
-        if how is not None and how.bounds is not None:
-            low, high = how.bounds
+        if bounds is not None:
+            low, high = bounds
         elif reduction in ("count", "rate"):
             high = 0.0
         elif reduction in ("min", "max", "max_abs"):
@@ -130,9 +127,10 @@ def violations(drive: StoredDrive) -> list[Violation]:
         edge = np.diff(np.r_[False, (values < low) | (values > high), False].astype(np.int64))
         stretches = zip(np.flatnonzero(edge > 0), np.flatnonzero(edge < 0), strict=True)
         spans = tuple((float(t[first]), float(t[end - 1])) for first, end in stretches)
-        at = ((float(row.time_s),) * 2,) if isfinite(row.time_s) else ()
-        found.append(Violation(str(row.gate), series, spans or at))
-    return found
+        if not spans and isfinite(row.time_s):
+            spans = ((float(row.time_s), float(row.time_s)),)
+        broken.append(Violation(str(row.gate), series, spans))
+    return broken
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,10 +175,10 @@ class Subject(SceneSubject):
         """All drives by their names in legends: the planner, and loop and run where these
         differ.
         """
-        some = (self, *self.beside)
+        subjects = (self, *self.beside)
         for name in NAMES:
-            named = {name(one.drive): one for one in some}
-            if len(named) == len(some):
+            named = {name(subject.drive): subject for subject in subjects}
+            if len(named) == len(subjects):
                 break
         return named
 
@@ -189,11 +187,8 @@ class Subject(SceneSubject):
         """Log, planners and loop in words."""
         if not self.beside:
             return self.drive.title
-        loop = (
-            ""
-            if any(one.drive.mode != self.drive.mode for one in self.beside)
-            else f", {self.drive.mode} loop"
-        )
+        modes = {subject.drive.mode for subject in self.beside}
+        loop = f", {self.drive.mode} loop" if modes == {self.drive.mode} else ""
         return f"{self.drive.log}, {', '.join(self.drives)}{loop}"
 
     @property
@@ -216,7 +211,7 @@ class Subject(SceneSubject):
         """
         if self.frame is None:
             return ()
-        earlier = [one.t for one in self.plans if one.t < self.frame.t]
+        earlier = [plan.t for plan in self.plans if plan.t < self.frame.t]
         (account,) = accounts(self.trace, self.scenario, self.drive.result.run.drive_loop, earlier)
         plan = Explanation.of(self.frame, account, bounds=False)
         return (

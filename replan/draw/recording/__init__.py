@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from hashlib import sha256
 from math import ceil
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -66,13 +67,13 @@ def write_recording(
     times = scene_times(trace, float(trace.ego.t[-1]))
     frames = np.array([frame.t for frame in trace.frames]) if trace.frames else times
     instants, planned = Instants.among(times, frames), Instants.among(frames, frames)
-    some = whole.frames[:: max(1, ceil(len(frames) / SAMPLE))]
-    found = (
-        (kind, Axes.of([graph for graph in _graphs(some, kind) if graph], kind))
-        for kind in (ST, SL)
-    )
-    axes = {kind: axis for kind, axis in found if axis is not None}
-    del some
+    sample = whole.frames[:: max(1, ceil(len(frames) / SAMPLE))]
+    axes = dict[GraphKind, Axes]()
+    for kind in (ST, SL):
+        axis = Axes.of([graph for graph in _graphs(sample, kind) if graph], kind)
+        if axis is not None:
+            axes[kind] = axis
+    del sample
     curves = panels(trace, scenario, steps_of(steps))
     curves += stage_panel(drive.timings, path_parts(timing.stage for timing in drive.timings))
     names = ("why", "numbers", "recent", "summary") if trace.frames else ("recent", "summary")
@@ -171,11 +172,11 @@ def write_log_recording(path: Path, scenario: Scenario, markers: Sequence[Marker
         plots.draw_panels(tape, curves, times)
         if lanes:
             plots.draw_lanes(tape, lanes, times)
-            began = [
-                TimedEvent(one.begin, "INFO", one.words)
-                for one in sorted(markers, key=lambda one: one.begin)
+            begins = [
+                TimedEvent(marker.begin, "INFO", marker.words)
+                for marker in sorted(markers, key=attrgetter("begin"))
             ]
-            pages.draw_events(tape, began, instants)
+            pages.draw_events(tape, begins, instants)
         pages.draw_summary(tape, pages.log_summary(scenario))
 
 

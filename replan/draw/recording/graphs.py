@@ -13,8 +13,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain, pairwise
 from math import ceil
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import rerun as rr
@@ -36,7 +37,8 @@ from replan.draw.spans import Span, ticks
 from replan.logs.plan import DecisionKind
 
 WIDTH, HEIGHT = 160.0, 96.0
-MARGIN_LEFT, MARGIN_BOTTOM, MARGIN_RIGHT, MARGIN_TOP = 15.0, 14.0, 7.0, 9.0
+MARGIN_LEFT, MARGIN_RIGHT = 15.0, 7.0
+MARGIN_BOTTOM, MARGIN_TOP = 14.0, 9.0
 LABEL_GAP = 7.0  # Labels nearer to each other in height than this are moved apart, view units
 LETTER = 1.9  # Width of a letter of a label in a window of usual size, view units
 STROKE = 0.8  # Distance of the strokes that fill an obstacle, view units
@@ -88,9 +90,8 @@ def draw_graph(
     tape.static(axes.entity, scale)
     offsets = np.zeros(len(graphs))
     for i, graph in enumerate(graphs):
-        offsets[i] = (
-            (graph.begin if graph else offsets[max(i - 1, 0)]) if axes.kind.scrolls else 0.0
-        )
+        if axes.kind.scrolls:
+            offsets[i] = graph.begin if graph else offsets[max(i - 1, 0)]
     sheet = _Sheet(tape, instants, graphs, axes, offsets, f"{axes.entity}/window")
     shift = np.c_[-offsets, np.zeros((len(offsets), 2))]
     tape.rows(sheet.window, instants, rr.Transform3D.columns(translation=shift))
@@ -99,6 +100,12 @@ def draw_graph(
     sheet.draw_corridor()
     sheet.draw_grid()
     sheet.draw_obstacles()
+
+
+class _Label(NamedTuple):
+    position: FloatArray  # `(2,)`, in units of the graph
+    words: str
+    shade: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,25 +138,20 @@ class _Sheet:
             rr.LineStrips2D(rows, colors=colours.GRID, radii=thin, draw_order=-4.5),
         )
         half = [0.5 * LETTER * len(words) for words in (axes.kind.y_title, axes.kind.x_title)]
-        left, right = (
-            x0 + (half[0] - MARGIN_LEFT + 2.0) / kx,
-            x1 - (half[1] - MARGIN_RIGHT + 2.0) / kx,
-        )
+        left = x0 + (half[0] - MARGIN_LEFT + 2.0) / kx
+        right = x1 - (half[1] - MARGIN_RIGHT + 2.0) / kx
         ends = np.array([[left, y1 + 7.5 / ky], [right, y0 - 6.8 / ky]])
-        for entity, at, words in (
-            (
-                "y_ticks",
-                np.c_[np.full(len(marks), x0 - 6.0 / kx), marks + 2.2 / ky],
-                [f"{mark:g}" for mark in marks],
-            ),
+        beside = np.c_[np.full(len(marks), x0 - 6.0 / kx), marks + 2.2 / ky]
+        for entity, positions, words in (
+            ("y_ticks", beside, [f"{mark:g}" for mark in marks]),
             ("titles", ends, [axes.kind.y_title, axes.kind.x_title]),
         ):
-            labels = rr.Points2D.from_fields(positions=at, labels=words)
+            labels = rr.Points2D.from_fields(positions=positions, labels=words)
             tape.static(f"{axes.entity}/{entity}", _label_style(colours.TICK), labels)
 
         begins = offsets if axes.kind.scrolls else np.zeros(1)
         per_frame = [ticks(x0 + offset, x1 + offset, MOST_TICKS) for offset in begins]
-        x, counts = np.concatenate(per_frame), [len(some) for some in per_frame]
+        x, counts = np.concatenate(per_frame), [len(columns) for columns in per_frame]
         lines = np.stack([np.c_[x, np.full(len(x), y0)], np.c_[x, np.full(len(x), y1)]], axis=1)
         when = (
             self.instants
@@ -254,12 +256,9 @@ class _Sheet:
         """Obstacles filled and outlined in the colour of the decision, labelled with agent and
         decision.
         """
-        shown = [
-            (i, obstacle)
-            for i, graph in enumerate(self.graphs)
-            if graph
-            for obstacle in graph.obstacles
-        ]
+        shown = list[tuple[int, DrawnObstacle]]()
+        for i, graph in enumerate(self.graphs):
+            shown += [(i, obstacle) for obstacle in graph.obstacles] if graph else []
         frame = np.array([i for i, _ in shown], dtype=np.int64)
         outlines = [obstacle.outline for _, obstacle in shown]
         colour = np.array(
@@ -278,10 +277,8 @@ class _Sheet:
             points, np.array(lengths, dtype=np.int64), self.axes.window
         )
         edges[:, :, 0] += self.offsets[frame][edge_owner][:, None]
-        counts, pairs = (
-            np.bincount(frame[edge_owner], minlength=len(self.graphs)),
-            np.full(len(edges), 2),
-        )
+        counts = np.bincount(frame[edge_owner], minlength=len(self.graphs))
+        pairs = np.full(len(edges), 2)
         style, shades = dict[str, Any](radii=[pixels(1.2)], draw_order=-4.0), colour[edge_owner]
         self.tape.lines(entity, self.instants, edges.reshape(-1, 2), pairs, counts, shades, **style)
         self._draw_labels(shown, filled, owner)
@@ -294,44 +291,31 @@ class _Sheet:
         Overlapping labels are moved apart.
         """
         begins = np.searchsorted(owner, np.arange(len(shown) + 1))
-        rows: list[list[tuple[FloatArray, str, int]]] = [[] for _ in range(len(self.instants))]
-        for k, (i, obstacle) in enumerate(shown):
-            if begins[k + 1] > begins[k]:
+        rows: list[list[_Label]] = [[] for _ in range(len(self.instants))]
+        for (i, obstacle), (begin, end) in zip(shown, pairwise(begins), strict=True):
+            if end > begin:
                 words = plain(f"{self.tape.short(obstacle.of.agent)}: {obstacle.of.decision.value}")
                 offset = np.array([self.offsets[i], 0.0])
-                at = (
-                    label_position(
-                        filled[begins[k] : begins[k + 1]] - offset, len(words), self.axes
-                    )
-                    + offset
-                )
-                rows[i].append(
-                    (at, words, colours.of_words(colours.DECISIONS[obstacle.of.decision]))
-                )
+                position = label_position(filled[begin:end] - offset, len(words), self.axes)
+                shade = colours.of_words(colours.DECISIONS[obstacle.of.decision])
+                rows[i].append(_Label(position + offset, words, shade))
         ignored = colours.DECISIONS[DecisionKind.IGNORE]
-        kept = [
-            (row if len(row) <= FEW_LABELS else [label for label in row if label[2] != ignored])[
-                :MAX_LABELS
-            ]
-            for row in rows
-        ]
-        placed = [
-            spread_labels(
-                np.array([at for at, _, _ in row]).reshape(-1, 2),
-                [len(words) for _, words, _ in row],
-                self.axes,
-            )
-            for row in kept
-        ]
+        labels, placed = list[_Label](), []
+        for row in rows:
+            if len(row) > FEW_LABELS:
+                row = [label for label in row if label.shade != ignored]
+            row = row[:MAX_LABELS]
+            positions = np.array([label.position for label in row]).reshape(-1, 2)
+            placed.append(spread_labels(positions, [len(label.words) for label in row], self.axes))
+            labels += row
         points, counts = joined(placed, 2)
         entity = f"{self.window}/labels"
         self.tape.static(entity, _label_style(None))
-        flat = [label for row in kept for label in row]
-        colour = np.array([label[2] for label in flat], dtype=np.uint32)
-        labels = rr.Points2D.columns(
-            positions=points, labels=[label[1] for label in flat], colors=colour
+        colour = np.array([label.shade for label in labels], dtype=np.uint32)
+        columns = rr.Points2D.columns(
+            positions=points, labels=[label.words for label in labels], colors=colour
         )
-        self.tape.rows(entity, self.instants, labels, counts)
+        self.tape.rows(entity, self.instants, columns, counts)
 
     def _fill(
         self, outlines: Sequence[FloatArray], offsets: FloatArray, spacing: float
@@ -373,9 +357,8 @@ def draw_occupancy(
     """Draw the outlines of the agents in the S-T graphs as they really drove; `outlines` has a list
     per frame.
     """
-    flat = [outline for some in outlines for outline in some]
-    frame = np.repeat(np.arange(len(outlines)), [len(some) for some in outlines])
-    points, lengths = joined(flat, 2)
+    frame = np.repeat(np.arange(len(outlines)), [len(of_frame) for of_frame in outlines])
+    points, lengths = joined(list(chain.from_iterable(outlines)), 2)
     edges, owner = outline_segments(points, np.array(lengths, dtype=np.int64), axes.window)
     entity = f"{axes.entity}/window/happened"
     counts, pairs = np.bincount(frame[owner], minlength=len(outlines)), np.full(len(edges), 2)
@@ -417,7 +400,7 @@ def spread_labels(points: FloatArray, lengths: Sequence[int], axes: Axes) -> Flo
     of the labels. `axes`: the axes, which give the scale and the upper border.
     """
     kx, ky = axes.scale
-    out, order = points.copy(), np.argsort(points[:, 1], kind="stable")
+    spread, order = points.copy(), np.argsort(points[:, 1], kind="stable")
     gap, top = LABEL_GAP / ky, axes.y[1] - 1.0 / ky
 
     def crowd(i: int, j: int) -> bool:
@@ -426,7 +409,9 @@ def spread_labels(points: FloatArray, lengths: Sequence[int], axes: Axes) -> Flo
         )
 
     for n, i in enumerate(order):
-        out[i, 1] = max([out[i, 1], *(out[j, 1] + gap for j in order[:n] if crowd(j, i))])
+        below = [j for j in order[:n] if crowd(j, i)]
+        spread[i, 1] = max([spread[i, 1], *(spread[j, 1] + gap for j in below)])
     for n, i in reversed(list(enumerate(order))):
-        out[i, 1] = min([out[i, 1], top, *(out[j, 1] - gap for j in order[n + 1 :] if crowd(j, i))])
-    return out
+        above = [j for j in order[n + 1 :] if crowd(j, i)]
+        spread[i, 1] = min([spread[i, 1], top, *(spread[j, 1] - gap for j in above)])
+    return spread

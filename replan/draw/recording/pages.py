@@ -4,7 +4,7 @@ the drive.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -18,14 +18,7 @@ from replan.draw.recording.tape import MARKDOWN, Instants, Tape, cell, document,
 from replan.explain import Explanation, accounts
 from replan.explain.course import BRAKES_MPS2
 from replan.explain.drive_events import TimedEvent
-from replan.explain.explanation import (
-    FREE_DRIVE,
-    NO_NUDGE,
-    STATUS_WORDS,
-    Section,
-    lateral,
-    longitudinal,
-)
+from replan.explain.explanation import FREE_DRIVE, NO_NUDGE, STATUS_WORDS, lateral, longitudinal
 from replan.logs.plan import Decision, Graph, PlanStatus
 from replan.logs.scenario import Scenario
 from replan.logs.trace import PlannedFrame, Trace
@@ -107,21 +100,23 @@ def why(
     if missing:
         named = listed([f"{cell(name)} ({away:.0f} m)" for name, away in missing], MAX_MISSING)
         lines += ["", f"**Not seen by the sensor:** {named}"]
-    return lines + _sections(explained, lambda section: section.title not in NUMBERS)
+    return lines + _sections(explained, numbers=False)
 
 
 def numbers(explained: Explanation) -> list[str]:
     """The second page of a frame: cost terms and the reports of the solvers."""
-    found = _sections(explained, lambda section: section.title in NUMBERS)
+    lines = _sections(explained, numbers=True)
     return [
         f"### t = {explained.t:.2f} s",
-        *(found or ["", "The planner reports neither costs nor solvers."]),
+        *(lines or ["", "The planner reports neither costs nor solvers."]),
     ]
 
 
-def _sections(explained: Explanation, chosen: Callable[[Section], bool]) -> list[str]:
+def _sections(explained: Explanation, *, numbers: bool) -> list[str]:
     lines = []
-    for title, rows in filter(chosen, explained.sections()):
+    for title, rows in explained.sections():
+        if (title in NUMBERS) is not numbers:
+            continue
         lines += ["", f"#### {HEADINGS.get(title, title.capitalize())}", ""]
         for name, rest in rows[:MAX_LINES]:
             space = " " if rest.startswith(" ") else ""  # `cell` removes it
@@ -130,29 +125,26 @@ def _sections(explained: Explanation, chosen: Callable[[Section], bool]) -> list
     return lines
 
 
-def draw_events(tape: Tape, found: Sequence[TimedEvent], frames: Instants) -> None:
+def draw_events(tape: Tape, occurred: Sequence[TimedEvent], frames: Instants) -> None:
     """Draw one line of the log view per event, and at the time of each event a page of recent
     events.
 
     A page has the newest event first; grave events are bold.
     """
-    found = [replace(event, words=tape.short(event.words)) for event in found]
+    occurred = [replace(event, words=tape.short(event.words)) for event in occurred]
     tape.static("recent", rr.TextDocument.from_fields(media_type=MARKDOWN))
-    changes, pages = np.unique([*frames.t[:1], *(event.t for event in found)]), []
+    changes, pages = np.unique([*frames.t[:1], *(event.t for event in occurred)]), []
     for t in changes:
-        past = [event for event in found if event.t <= t + 1e-9]
-        rows = [
-            (
-                f"- **{event.t:.1f} s** "
-                f"{cell(event.words) if event.level == 'INFO' else f'**{cell(event.words)}**'}"
-            )
-            for event in past[::-1][:MOST_RECENT]
-        ]
+        past = [event for event in occurred if event.t <= t + 1e-9]
+        rows = []
+        for event in past[::-1][:MOST_RECENT]:
+            bold = "" if event.level == "INFO" else "**"
+            rows.append(f"- **{event.t:.1f} s** {bold}{cell(event.words)}{bold}")
         pages.append(document(rows or ["nothing yet"]))
     tape.rows("recent", Instants.among(changes, frames.t), rr.TextDocument.columns(text=pages))
-    instants = Instants.among(np.array([event.t for event in found]), frames.t)
+    instants = Instants.among(np.array([event.t for event in occurred]), frames.t)
     shown = rr.TextLog.columns(
-        text=[plain(event.words) for event in found], level=[event.level for event in found]
+        text=[plain(event.words) for event in occurred], level=[event.level for event in occurred]
     )
     tape.rows("events", instants, shown)
 
@@ -184,10 +176,10 @@ def summary(trace: Trace, scenario: Scenario, metrics: DataFrame | None) -> list
     if metrics is not None and len(metrics):
         rows = []
         for row in metrics.to_dict("records"):
-            at, known = row.get("time_s", np.nan), row["available"]
-            value = f"{row['value']:.4g} {row['unit']}" if known else "not available"
-            when = f"{at:.2f} s" if known and np.isfinite(at) else ""
-            rows.append((row["metric"], value, when, row.get("reason", "") if not known else ""))
+            time_s, available = row.get("time_s", np.nan), row["available"]
+            value = f"{row['value']:.4g} {row['unit']}" if available else "not available"
+            time = f"{time_s:.2f} s" if available and np.isfinite(time_s) else ""
+            rows.append((row["metric"], value, time, "" if available else row.get("reason", "")))
         lines += ["## Metrics", *table(("metric", "value", "when", "why not"), rows)]
     return [*lines, *log_facts(scenario), *(legend(trace) if trace.frames else [])]
 

@@ -68,12 +68,10 @@ def environment(**more: str) -> Iterator[dict[str, str]]:
     environment.
     """
     with tempfile.TemporaryDirectory(prefix="replan-viewer-") as folder:
-        variable, below = (
-            ("HOME", "Library/Application Support")
-            if sys.platform == "darwin"
-            else ("XDG_CONFIG_HOME", "")
-        )
-        file = Path(folder) / below / "rerun" / "analytics.json"
+        variable, subfolder = "XDG_CONFIG_HOME", ""
+        if sys.platform == "darwin":
+            variable, subfolder = "HOME", "Library/Application Support"
+        file = Path(folder) / subfolder / "rerun" / "analytics.json"
         file.parent.mkdir(parents=True)
         file.write_text(json.dumps(SETTINGS), encoding="utf-8")
         ours = {
@@ -165,11 +163,11 @@ def take_pictures(
     with _viewer(f"{width}x{height + HEADER_PX}", theme) as (client, alive):
         client.open([str(recording.resolve())])
         _until(lambda: not client.get_state().loading, alive, "the recording does not load")
-        kept = client.get_blueprint("recording").blueprint
+        recorded = client.get_blueprint("recording").blueprint
         shown = None
         for picture in pictures:
             if (picture.layout, picture.view) != shown:
-                parts, view = arranged(kept, picture.layout, picture.view)
+                parts, view = arranged(recorded, picture.layout, picture.view)
                 client.set_blueprint(parts, "recording")
                 shown = picture.layout, picture.view
             if any(recording.timelines for recording in client.get_state().recordings):
@@ -182,19 +180,20 @@ def take_pictures(
         ]
 
 
-def arranged(kept: Blueprint, layout: str, view: str | None) -> tuple[Blueprint, str | None]:
+def arranged(recorded: Blueprint, layout: str, view: str | None) -> tuple[Blueprint, str | None]:
     """A blueprint without header and time panel, in which the tabs that hold a layout or a view of
     it are open.
 
-    `kept`: the blueprint as the viewer reports it: fields by entity and archetype. `layout`: one of
-    `LAYOUTS`. `view`: name of a view; if several have it, the one in the layout, otherwise the
-    first. ConfigError if there is no such layout or view.
+    `recorded`: the blueprint as the viewer reports it: fields by entity and archetype. `layout`:
+    one of `LAYOUTS`. `view`: name of a view; if several have it, the one in the layout, otherwise
+    the first. ConfigError if there is no such layout or view.
 
     Returns:
         The blueprint, and the view's id.
     """
     parts = {
-        name: {kind: dict(fields) for kind, fields in part.items()} for name, part in kept.items()
+        name: {kind: dict(fields) for kind, fields in part.items()}
+        for name, part in recorded.items()
     }
     parts["/top_panel"] = {"PanelBlueprint": {"state": "Hidden"}}
     parts.setdefault("/time_panel", {}).setdefault("TimePanelBlueprint", {})["state"] = "Hidden"
@@ -203,12 +202,10 @@ def arranged(kept: Blueprint, layout: str, view: str | None) -> tuple[Blueprint,
         contents: str | list[str] = part.get("ContainerBlueprint", {}).get("contents", [])
         for child in [contents] if isinstance(contents, str) else contents:
             parents[child] = name.removeprefix("/")
-    titles = {
-        name.removeprefix("/"): str(fields.get("display_name", ""))
-        for name, part in parts.items()
-        for kind, fields in part.items()
-        if kind in ("ContainerBlueprint", "ViewBlueprint")
-    }
+    titles = dict[str, str]()
+    for name, part in parts.items():
+        for kind in part.keys() & {"ContainerBlueprint", "ViewBlueprint"}:
+            titles[name.removeprefix("/")] = str(part[kind].get("display_name", ""))
     layouts = {title.lower(): name for name, title in titles.items() if title.lower() in LAYOUTS}
     if layout != LAYOUTS[0] and layout not in layouts:
         raise ConfigError(
@@ -217,20 +214,13 @@ def arranged(kept: Blueprint, layout: str, view: str | None) -> tuple[Blueprint,
         )
     target = layouts.get(layout)
     if view is not None:
-        found = [
-            name for name, title in titles.items() if title == view and name.startswith("view/")
-        ]
-        if not found:
-            there = sorted(
-                {
-                    title
-                    for name, title in titles.items()
-                    if name.startswith("view/") and title.strip()
-                }
-            )
-            raise ConfigError(f"no view {view!r}; there are: {', '.join(there)}")
-        found.sort(key=lambda name: target not in _above(name, parents))
-        target = found[0]
+        views = {name: title for name, title in titles.items() if name.startswith("view/")}
+        matches = [name for name, title in views.items() if title == view]
+        if not matches:
+            known = sorted({title for title in views.values() if title.strip()})
+            raise ConfigError(f"no view {view!r}; there are: {', '.join(known)}")
+        in_layout = (name for name in matches if target in _above(name, parents))
+        target = next(in_layout, matches[0])
     for child in _above(target, parents) if target else ():
         parent = parts.get(f"/{parents.get(child, '')}", {}).get("ContainerBlueprint", {})
         if parent.get("container_kind") == "Tabs":
@@ -240,10 +230,10 @@ def arranged(kept: Blueprint, layout: str, view: str | None) -> tuple[Blueprint,
 
 def _above(name: str, parents: Mapping[str, str]) -> list[str]:
     """A part and its containers, the innermost first."""
-    out = [name]
-    while out[-1] in parents:
-        out.append(parents[out[-1]])
-    return out
+    parts = [name]
+    while parts[-1] in parents:
+        parts.append(parents[parts[-1]])
+    return parts
 
 
 def _settle(client: Any, picture: Picture, view: str | None, alive: Callable[[], None]) -> None:
@@ -349,6 +339,9 @@ def _connect(port: int, alive: Callable[[], None]) -> Any:
             time.sleep(0.05)
 
 
+START, CLICKS = 1, 2  # Ids of messages
+
+
 def click_theme(
     theme: Theme, binary: Path, port: int, variables: Mapping[str, str], timeout: float
 ) -> str:
@@ -367,10 +360,10 @@ def click_theme(
         "clientInfo": {"name": "replan", "version": "1"},
     }
     messages: list[dict[str, Any]] = [
-        {"id": 1, "method": "initialize", "params": start},
+        {"id": START, "method": "initialize", "params": start},
         {"method": "notifications/initialized"},
         {
-            "id": 2,
+            "id": CLICKS,
             "method": "tools/call",
             "params": {"name": "batch", "arguments": {"actions": actions}},
         },
@@ -378,7 +371,7 @@ def click_theme(
     sent = "".join(json.dumps({"jsonrpc": "2.0", **message}) + "\n" for message in messages)
     command = [str(binary), "viewer-mcp", "--endpoint", f"http://{LOOPBACK}:{port}"]
     try:
-        done = subprocess.run(
+        server = subprocess.run(
             command,
             input=sent,
             env=dict(variables),
@@ -389,11 +382,10 @@ def click_theme(
         )
     except subprocess.TimeoutExpired:
         return f"its server for agents did not answer within {timeout:g} s"
-    answers = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
-    result = next(
-        (one.get("result", one) for one in answers if one.get("id") == 2), {"isError": True}
-    )
-    return str(result.get("content", done.stderr)) if result.get("isError", True) else ""
+    answers = [json.loads(line) for line in server.stdout.splitlines() if line.startswith("{")]
+    results = {answer.get("id"): answer.get("result", answer) for answer in answers}
+    result = results.get(CLICKS, {"isError": True})
+    return str(result.get("content", server.stderr)) if result.get("isError", True) else ""
 
 
 # videos -------------------------------------------------------------------------------------------
@@ -416,7 +408,8 @@ def span(recording: Path) -> tuple[float, float]:
     ]
     if not times:
         raise ConfigError(f"{recording}: nothing in it has a time")
-    return float(min(some.min() for some in times)), float(max(some.max() for some in times))
+    first, last = min(map(np.min, times)), max(map(np.max, times))
+    return float(first), float(last)
 
 
 def film(
@@ -456,19 +449,22 @@ def film(
         def write(partial: Path) -> None:
             if out.suffix in BY_PILLOW:
                 frame, *others = [Image.open(picture.out).convert("RGB") for picture in pictures]
-                more: dict[str, Any] = {
-                    "append_images": others,
-                    "duration": round(1e3 / FRAMES_PER_S),
-                    "loop": 0,
-                }
-                frame.save(partial, save_all=True, comment="replan", **more)
+                frame.save(
+                    partial,
+                    save_all=True,
+                    comment="replan",
+                    append_images=others,
+                    duration=round(1e3 / FRAMES_PER_S),
+                    loop=0,
+                )
                 return
             command = ["ffmpeg", "-y", "-loglevel", "error", "-framerate", f"{FRAMES_PER_S:g}"]
             command += ["-i", str(Path(folder) / "%05d.png"), "-vf", EVEN, "-pix_fmt", "yuv420p"]
             command += ["-metadata", "comment=replan", str(partial)]
-            done = subprocess.run(command, capture_output=True, text=True, check=False)
-            if done.returncode:
-                raise ReplanError(f"{out}: ffmpeg failed: {' '.join(done.stderr[-400:].split())}")
+            ffmpeg = subprocess.run(command, capture_output=True, text=True, check=False)
+            if ffmpeg.returncode:
+                error = " ".join(ffmpeg.stderr[-400:].split())
+                raise ReplanError(f"{out}: ffmpeg failed: {error}")
 
         write_file(out, write)
     return len(pictures)

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import cycle
+from itertools import chain, cycle
+from operator import attrgetter
 from typing import Any, Literal
 
 import numpy as np
@@ -126,14 +127,9 @@ def with_two_numbers(low: float, high: float) -> tuple[float, float]:
     )
 
 
-LANES = (PLAN, ALONG, ACROSS, CHOICE, LANE, DRIVE) = (
-    "Plan",
-    "Decision-along",
-    "Decision-across",
-    "Choice-of-lane",
-    "Lane",
-    "Drive",
-)
+PLAN, LANE, DRIVE = "Plan", "Lane", "Drive"
+ALONG, ACROSS, CHOICE = "Decision-along", "Decision-across", "Choice-of-lane"
+LANES = (PLAN, ALONG, ACROSS, CHOICE, LANE, DRIVE)
 """Entities of the rows, at the root: the viewer labels a row with the whole path of its entity."""
 NAMED = (0x5A6478FF, 0x46505FFF)  # Alternating colours of states that are not in `STATE_COLOURS`
 OFF_LANES, NOTHING = "off the lanes", "none"
@@ -167,8 +163,8 @@ class StateRow:
     @classmethod
     def of(cls, name: str, t: Sequence[float], values: Sequence[str]) -> StateRow:
         """A row with only the values that differ from the one before."""
-        kept = [i for i in range(len(values)) if i == 0 or values[i] != values[i - 1]]
-        return cls(name, tuple(t[i] for i in kept), tuple(values[i] for i in kept))
+        changes = [i for i in range(len(values)) if i == 0 or values[i] != values[i - 1]]
+        return cls(name, tuple(t[i] for i in changes), tuple(values[i] for i in changes))
 
 
 def state_lanes(trace: Trace, road: Road) -> list[StateRow]:
@@ -199,16 +195,19 @@ def marker_lanes(markers: Sequence[Marker], end: float) -> list[StateRow]:
     log, s.
     """
     rows = []
-    for kind in dict.fromkeys(one.kind for one in markers):
-        mine = sorted((one for one in markers if one.kind == kind), key=lambda one: one.begin)
-        times = sorted({0.0, end, *(t for one in mine for t in (one.begin, one.end) if t < end)})
-        now = [
-            [one.about or one.words for one in mine if one.begin <= t + 1e-9 and t < one.end - 1e-9]
+    for kind in dict.fromkeys(marker.kind for marker in markers):
+        of_kind = sorted(
+            (marker for marker in markers if marker.kind == kind), key=attrgetter("begin")
+        )
+        bounds = chain.from_iterable((marker.begin, marker.end) for marker in of_kind)
+        times = sorted({0.0, end, *(t for t in bounds if t < end)})
+        lasting = [
+            [marker.about or marker.words for marker in of_kind if marker.lasts_at(t)]
             for t in times
         ]
         rows.append(
             StateRow.of(
-                kind.replace("_", "-"), times, ["; ".join(words) or NOTHING for words in now]
+                kind.replace("_", "-"), times, ["; ".join(words) or NOTHING for words in lasting]
             )
         )
     return rows
@@ -252,30 +251,27 @@ def changes_under_way(
     """For each frame the lane change that is under way: from its decision until the ego has left
     its lane.
     """
-    out: list[LaneChange | None] = []
+    changes: list[LaneChange | None] = []
     change, left = None, None
     for frame, lane in zip(frames, lanes, strict=True):
-        some = lane_options(frame.plan)
-        if taken_option(some) != KEEP:
-            change, left = LaneChange(taken_option(some), frame.t, describe_choice(some)), lane
+        options = lane_options(frame.plan)
+        if (option := taken_option(options)) != KEEP:
+            change, left = LaneChange(option, frame.t, describe_choice(options)), lane
         elif lane != left:
             change = None
-        out.append(change)
-    return out
+        changes.append(change)
+    return changes
 
 
 def choices(frames: Sequence[PlannedFrame], lanes: Sequence[int | None]) -> list[str]:
     """For the row of states: whether the lane is kept, compared with others, or a change is under
     way.
     """
-    return [
-        f"change {change.name}"
-        if change
-        else COMPARED
-        if lane_options(frame.plan)
-        else NOT_COMPARED
-        for frame, change in zip(frames, changes_under_way(frames, lanes), strict=True)
-    ]
+    words = []
+    for frame, change in zip(frames, changes_under_way(frames, lanes), strict=True):
+        keep = COMPARED if lane_options(frame.plan) else NOT_COMPARED
+        words.append(f"change {change.name}" if change else keep)
+    return words
 
 
 def lanes_driven(trace: Trace, road: Road) -> list[int | None]:
@@ -285,16 +281,17 @@ def lanes_driven(trace: Trace, road: Road) -> list[int | None]:
     """
     if road.source is not RoadSource.LANES:
         return [None] * len(trace.frames)
-    out = list[int | None]()
+    driven = list[int | None]()
+    last: int | None = None
     for x, y in places(trace).tolist():
         under = [lane.id for lane in road.lanes_at(x, y) if lane.drivable]
-        before = road.lanes.get(out[-1]) if out and out[-1] is not None else None
-        onward = [
-            i for i in under if before is not None and (i == before.id or i in before.successors)
-        ]
-        first = under[0] if under else None
-        out.append(min(onward, key=lambda i: before is None or i != before.id) if onward else first)
-    return out
+        before = None if last is None else road.lanes.get(last)
+        onward = (before.id, *before.successors) if before is not None else ()
+        last = next((lane for lane in onward[:1] if lane in under), None)
+        if last is None:
+            last = next((lane for lane in under if lane in onward), under[0] if under else None)
+        driven.append(last)
+    return driven
 
 
 def places(trace: Trace) -> FloatArray:
@@ -364,7 +361,8 @@ def blueprint(contents: RecordingContents) -> rrb.Blueprint:
     shown.
     """
     panels = {panel.name: panel for panel in contents.panels}
-    nowhere = set(panels) - {name for rows in ROWS.values() for names, _ in rows for name in names}
+    shown = {name for row in chain.from_iterable(ROWS.values()) for name in row[0]}
+    nowhere = set(panels) - shown
     if nowhere:
         raise ValueError(f"the panel '{min(nowhere)}' is in no row of ROWS: it would not be seen")
     tabs = [_overview(contents, panels)]
@@ -500,17 +498,17 @@ def _rows(
     layout: str, panels: Mapping[str, Panel]
 ) -> tuple[list[rrb.Container | rrb.View], list[float]]:
     """The rows of curves of a layout that have a panel, and their shares."""
-    found = [
+    rows = [
         ([plot(panels[name]) for name in names if name in panels], share)
         for names, share in ROWS[layout]
     ]
     return (
         [
             rrb.Tabs(*views, active_tab=0) if len(views) > 1 else views[0]
-            for views, _ in found
+            for views, _ in rows
             if views
         ],
-        [share for views, share in found if views],
+        [share for views, share in rows if views],
     )
 
 

@@ -50,13 +50,13 @@ def draw_lines(
 def dashes(line: FloatArray) -> list[FloatArray]:
     """The dashes of a broken marking along a polyline `(n, 2)`."""
     along = arc_lengths(*line.T)
-    out: list[FloatArray] = []
+    pieces: list[FloatArray] = []
     for start in np.arange(0.0, along[-1], DASH_M + GAP_M):
         stop = min(start + DASH_M, along[-1])
         inner = along[(along > start) & (along < stop)]
         s = np.r_[start, inner, stop]
-        out.append(np.column_stack([np.interp(s, along, line[:, k]) for k in range(2)]))
-    return out
+        pieces.append(np.column_stack([np.interp(s, along, column) for column in line.T]))
+    return pieces
 
 
 def draw_road(tape: Tape, road: Road) -> None:
@@ -67,12 +67,12 @@ def draw_road(tape: Tape, road: Road) -> None:
     Stop lines are white, those of a stop sign red; crosswalks are hatched.
     """
     lanes = tuple(road.lanes.values())
-    for entity, some, colour, z in (
+    for entity, of_kind, colour, z in (
         ("world/road/surface", [lane for lane in lanes if lane.drivable], colours.SURFACE, -0.04),
         ("world/road/walk", [lane for lane in lanes if not lane.drivable], colours.WALK, -0.03),
     ):
         vertices, triangles, count = list[FloatArray](), list[IntArray](), 0
-        for lane in some:  # strips of triangles between its boundaries
+        for lane in of_kind:  # strips of triangles between its boundaries
             n = len(lane.left)
             left, right = np.arange(n - 1) + count, np.arange(n - 1) + count + n
             triangles += [
@@ -81,7 +81,7 @@ def draw_road(tape: Tape, road: Road) -> None:
             ]
             vertices += [lane.left, lane.right]
             count += 2 * n
-        if some:
+        if of_kind:
             points, indices = at_height(np.concatenate(vertices), z), np.concatenate(triangles)
             tape.static(
                 entity,
@@ -121,39 +121,33 @@ def draw_lights(tape: Tape, scenario: Scenario, instants: Instants) -> None:
     if not lines or not len(instants):
         return
     lights = {light.id: light for light in scenario.lights}
-    shown = np.array(
-        [
-            [
-                LIGHTS[lights[i].at(float(t)) if i in lights else Colour.OFF]
-                for i in (line.light for line in lines)
-            ]
-            for t in instants.t
-        ],
-        dtype=np.uint32,
-    )
-    kept = np.r_[True, (shown[1:] != shown[:-1]).any(axis=1)]
+    shown = np.zeros((len(instants), len(lines)), np.uint32)
+    ids = [line.light for line in lines if line.light is not None]
+    for k, name in enumerate(ids):
+        light = lights.get(name)
+        for row, t in enumerate(instants.t):
+            shown[row, k] = LIGHTS[Colour.OFF if light is None else light.at(float(t))]
+    changed = np.r_[True, (shown[1:] != shown[:-1]).any(axis=1)]
     places = at_height(np.array([line.points.mean(axis=0) for line in lines]), LAMP_HEIGHT_M)
+    count = int(changed.sum())
     lamps = rr.Points3D.columns(
-        positions=np.tile(places, (int(kept.sum()), 1)), colors=shown[kept].reshape(-1)
+        positions=np.tile(places, (count, 1)), colors=shown[changed].reshape(-1)
     )
     tape.static("world/lights", rr.Points3D.from_fields(radii=[LAMP_M]))
-    changes = Instants(instants.t[kept], instants.frame[kept])
-    tape.rows("world/lights", changes, lamps, np.full(int(kept.sum()), len(lines)))
+    changes = Instants(instants.t[changed], instants.frame[changed])
+    tape.rows("world/lights", changes, lamps, np.full(count, len(lines)))
 
 
 def _edges(lanes: Sequence[Lane], road: Road) -> Iterator[tuple[bool, FloatArray]]:
     """The boundaries without a lane beside them, in pieces, and whether a piece lies on another
     lane.
     """
-    sides = [
-        (owner, line, side)
-        for owner, lane in enumerate(lanes)
-        for line, side, beside in (
-            (lane.left, 1.0, lane.left_opposite or lane.left_neighbour in road.lanes),
-            (lane.right, -1.0, lane.right_neighbour in road.lanes),
-        )
-        if not beside
-    ]
+    sides = list[tuple[int, FloatArray, float]]()
+    for owner, lane in enumerate(lanes):
+        if not lane.left_opposite and lane.left_neighbour not in road.lanes:
+            sides.append((owner, lane.left, 1.0))
+        if lane.right_neighbour not in road.lanes:
+            sides.append((owner, lane.right, -1.0))
     if not sides:
         return
     outside = []
@@ -164,9 +158,9 @@ def _edges(lanes: Sequence[Lane], road: Road) -> Iterator[tuple[bool, FloatArray
         outside.append(0.5 * (line[:-1] + line[1:]) + side * BESIDE_M * normal)
     corners, lengths = joined([lane.polygon for lane in lanes], 2)
     boxes = np.array([[*lane.polygon.min(axis=0), *lane.polygon.max(axis=0)] for lane in lanes])
-    owner = np.repeat([owner for owner, _, _ in sides], [len(points) for points in outside])
+    owners = np.repeat([owner for owner, _, _ in sides], [len(points) for points in outside])
     on_another = covered(
-        np.concatenate(outside), owner, corners, np.r_[0, np.cumsum(lengths)], boxes
+        np.concatenate(outside), owners, corners, np.r_[0, np.cumsum(lengths)], boxes
     )
     begin = 0
     for (_, line, _), points in zip(sides, outside, strict=True):
@@ -190,15 +184,15 @@ def covered(
         offsets: `(k + 1,)`.
         boxes: `(k, 4)` lower x, lower y, upper x, upper y of each polygon.
     """
-    out = np.zeros(len(points), np.bool_)
+    is_covered = np.zeros(len(points), np.bool_)
     for i in range(len(points)):
         x, y = points[i, 0], points[i, 1]
         for k in range(len(boxes)):
             near = boxes[k, 0] <= x <= boxes[k, 2] and boxes[k, 1] <= y <= boxes[k, 3]
             if near and k != owner[i] and inside(x, y, corners[offsets[k] : offsets[k + 1]]):
-                out[i] = True
+                is_covered[i] = True
                 break
-    return out
+    return is_covered
 
 
 def draw_goal(tape: Tape, scenario: Scenario) -> None:
@@ -210,8 +204,8 @@ def draw_goal(tape: Tape, scenario: Scenario) -> None:
         return
     _draw_hatched(tape, "world/goal", regions, colours.GOAL, 1.0)
     points, _ = joined(regions, 2)
-    at, colour = [*points.mean(axis=0), GOAL_NAME_M], colours.of_words(colours.GOAL)
-    name = rr.Points3D([at], labels=["goal"], colors=colour, radii=0.01)
+    center, colour = [*points.mean(axis=0), GOAL_NAME_M], colours.of_words(colours.GOAL)
+    name = rr.Points3D([center], labels=["goal"], colors=colour, radii=0.01)
     tape.static("world/goal/name", name, rr.Points3D.from_fields(show_labels=True))
 
 

@@ -67,11 +67,7 @@ def document(lines: Iterable[str]) -> str:
 
 
 def _drawable(text: str) -> str:
-    return (
-        text
-        if DRAWABLE.issuperset(text)
-        else "".join(mark if mark in DRAWABLE else "?" for mark in text)
-    )
+    return "".join(mark if mark in DRAWABLE else "?" for mark in text)
 
 
 class Marked(str):
@@ -127,7 +123,7 @@ FRAME = "frame"
 SPACER = "room"  # Entity of an empty text view that reserves layout space
 REMOVED = "world/removed"  # Entity of the tracks that a repair of the log removed
 NO_NAMES = ShortNames(())
-CHUNK_BYTES = 1 << 20
+CHUNK_BYTES = 1024 * 1024
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,8 +145,8 @@ class Instants:
 
     def within(self, frames: range) -> Instants:
         """The instants at which some frames are in force."""
-        mine = (self.frame >= frames.start) & (self.frame < frames.stop)
-        return Instants(self.t[mine], self.frame[mine])
+        in_force = (self.frame >= frames.start) & (self.frame < frames.stop)
+        return Instants(self.t[in_force], self.frame[in_force])
 
     def columns(self) -> list[rr.TimeColumn]:
         """Both timelines.
@@ -187,17 +183,17 @@ class Tape:
 
         ValueError if the counts do not add up to the instances of a column.
         """
-        kept = list(columns)
+        filled = list(columns)
         if counts is not None:
-            for column in kept:
+            for column in filled:
                 present = len(column.component_batch.as_arrow_array())
                 if present != int(np.sum(counts)):
                     raise ValueError(
                         f"{entity}: {present} instances for rows of {int(np.sum(counts))}"
                     )
-            kept = [column.partition(counts) for column in kept]
+            filled = [column.partition(counts) for column in filled]
         if len(instants):
-            self.stream.send_columns(entity, instants.columns(), kept)
+            self.stream.send_columns(entity, instants.columns(), filled)
 
     def lines(
         self,
@@ -393,11 +389,11 @@ def outline_segments(
         moving = np.abs(delta[:, axis]) > 1e-9  # a step too small to divide by is taken as zero
         outside |= ~moving & ((start[:, axis] < low) | (start[:, axis] > high))
         step = np.where(moving, delta[:, axis], 1.0)
-        at = np.sort(
+        crossings = np.sort(
             np.stack([(low - start[:, axis]) / step, (high - start[:, axis]) / step]), axis=0
         )
-        enter = np.where(moving, np.maximum(enter, at[0]), enter)
-        leave = np.where(moving, np.minimum(leave, at[1]), leave)
-    kept = ~outside & (enter < leave)
-    cut = [start[kept] + u[kept, None] * delta[kept] for u in (enter, leave)]
-    return np.stack(cut, axis=1), owner[kept]
+        enter = np.where(moving, np.maximum(enter, crossings[0]), enter)
+        leave = np.where(moving, np.minimum(leave, crossings[1]), leave)
+    is_inside = ~outside & (enter < leave)
+    cut = [start[is_inside] + u[is_inside, None] * delta[is_inside] for u in (enter, leave)]
+    return np.stack(cut, axis=1), owner[is_inside]

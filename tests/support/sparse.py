@@ -35,7 +35,7 @@ SPARSE = {
     "replan/cli/test_sockets.py::test_system_calls_of_a_command_name_no_other_machine": 0,  # 22 s
     "replan/results/test_reading.py::test_edited_results_are_one_line_and_nothing_outside_is_written": 0,  # 113 s
     # 9 s
-    "replan/draw/report/test_report.py::test_an_encoding_that_lacks_a_letter_is_no_traceback": 0,
+    "replan/draw/report/test_report.py::test_a_letter_that_the_encoding_lacks_is_replaced": 0,
     "house/test_ci.py::test_the_gitlab_jobs_drive_shards_and_the_merge_judges_and_so_does_githubs": 0,  # 25 s
     # many drives of one law
     "replan/paper/test_pedestrian_cases.py::test_the_laws_hold_over_the_table": 6,  # 123 s, 184

@@ -244,7 +244,7 @@ def test_convert_and_evaluate_write_them_and_the_verdict_stays(tmp_path: Path) -
     assert {"/foxglove/agents", "/foxglove/plan"} & set(decoded(closed)) == {"/foxglove/plan"}
 
 
-def test_without_its_package_the_way_to_it_is_named(
+def test_a_missing_package_is_named_with_its_installation(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "foxglove_schemas_protobuf.Color_pb2", None)

@@ -60,7 +60,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Results:
 
 
 @given(LINES)
-def test_a_simplified_line_keeps_its_ends_and_is_as_near_as_said(line: np.ndarray) -> None:
+def test_a_simplified_line_keeps_its_ends_within_the_tolerance(line: np.ndarray) -> None:
     kept = simplified(line)
     assert (kept[0], kept[-1]) == (0, len(line) - 1) and (np.diff(kept) > 0).all()
     for a, b in pairwise(kept):
@@ -116,7 +116,7 @@ def test_axes_have_two_numbers_or_more_and_not_too_many(low: float, span: float,
     )
 
 
-def test_what_is_outside_is_cut_and_what_is_inside_stays() -> None:
+def test_cutting_keeps_the_parts_inside_the_plot_area() -> None:
     square = np.array([[-1e5, -1e5], [1e5, -1e5], [1e5, 1e5], [-1e5, 1e5]])
     cut = cut_outline(square, 100.0, 50.0)
     assert (
@@ -132,7 +132,7 @@ def test_what_is_outside_is_cut_and_what_is_inside_stays() -> None:
     assert [piece.tolist() for piece in cut_line(line, 100.0, 50.0)] == [line[1:5].tolist()]
 
 
-def test_words_from_outside_are_only_words() -> None:
+def test_names_from_logs_are_escaped_in_svg() -> None:
     hostile = '</text><script>alert("1")</script>\n\x00'
     drawn = text(0.0, 0.0, hostile, about=hostile.replace("\x00", ""))
     assert "<script" not in drawn and "\x00" not in drawn
@@ -244,7 +244,7 @@ HITS = (
         ([], ALONE, 10.0, "no gate of this loop fails; no distance to others was measured"),
     ],
 )
-def test_the_worst_moment_and_why(
+def test_the_worst_moment_is_that_of_the_gravest_failed_gate(
     verdicts: list[Any], metrics: list[Any], t: float, why: str
 ) -> None:
     moment = worst_moment(drive(verdicts, metrics))
@@ -299,7 +299,7 @@ def test_decisions_hold_until_the_next_frame() -> None:
     assert decided([], 1.0, str) == [] and statuses([], 1.0).spans == ()
 
 
-def test_a_moment_of_a_trace_is_that_of_the_whole(run: Results) -> None:
+def test_read_moment_equals_the_moment_of_the_whole_trace(run: Results) -> None:
     file = load(run.path).drive(LOG, "dp_qp").trace_file
     (whole, _), (part, _, said) = read_trace(file), read_moment(file, 3.04)
     (frame,) = part.frames
@@ -384,7 +384,7 @@ def test_plot_writes_pictures(run: Results, tmp_path: Path) -> None:
         (("-o", "picture.pdf"), "a picture ends with .png or .svg"),
     ],
 )
-def test_what_cannot_be_plotted_is_one_line(
+def test_an_impossible_plot_is_an_error_of_one_line(
     run: Results, words: tuple[Any, ...], line: str
 ) -> None:
     said = replan("plot", run.path, *words)
@@ -401,7 +401,7 @@ def test_a_chart_alone_is_a_file_with_its_style() -> None:
     )
 
 
-def test_the_gravest_failure_is_looked_at_first() -> None:
+def test_drives_are_ranked_by_their_gravest_failed_gate() -> None:
     """Whatever the order in the file of gates: a collision, then safety, rules, progress, and all
     else.
     """
@@ -461,7 +461,7 @@ def test_a_drive_that_ended_is_shown_where_it_ended(run: Results) -> None:
         assert ": ended" in scenes(seen)[-1].body
 
 
-def test_what_cannot_be_in_one_picture_is_one_line(run: Results) -> None:
+def test_drives_of_different_logs_in_one_picture_are_refused(run: Results) -> None:
     result = load(run.path)
     drive, other = result.drive(LOG, "dp_qp"), result.drive(LOG, "constant_speed")
     strange = replace(other, log="paper/free_road")

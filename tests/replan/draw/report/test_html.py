@@ -81,7 +81,7 @@ def page(content: str) -> Page:
     return Page(content)
 
 
-def test_nothing_is_loaded_from_anywhere(page: Page, content: str) -> None:
+def test_the_page_makes_no_request(page: Page, content: str) -> None:
     assert not {"img", "link", "iframe", "object", "embed", "base", "form", "audio", "video"} & {
         t for t, _ in page.tags
     }
@@ -96,7 +96,7 @@ def test_nothing_is_loaded_from_anywhere(page: Page, content: str) -> None:
     assert policy is not None and policy.startswith("default-src 'none'")
 
 
-def test_hostile_names_are_words(page: Page, content: str) -> None:
+def test_hostile_names_are_escaped_in_html(page: Page, content: str) -> None:
     assert content.count("<script>") == content.count("</script>") == 1
     assert not [name for _, attrs in page.tags for name in attrs if name.startswith("on")]
     assert {tag for tag, _ in page.tags} & {"b", "i", "img"} <= {"b"}  # <b> are the times of events
@@ -121,7 +121,7 @@ def test_every_drive_is_linked_and_every_link_has_its_target(page: Page, results
     assert "drive/test_free/dp_qp" in drives and "drive/test_free/dp_qp-2" in drives
 
 
-def test_it_can_be_read_without_script_and_with_a_keyboard(page: Page) -> None:
+def test_the_page_is_readable_without_script_and_labelled(page: Page) -> None:
     hidden = [(tag, attrs) for tag, attrs in page.tags if "hidden" in attrs]
     assert [attrs["class"] for _, attrs in hidden] == ["filter"]  # useless without script
     labels = {attrs["for"] for tag, attrs in page.tags if tag == "label"}
@@ -135,7 +135,9 @@ def test_it_can_be_read_without_script_and_with_a_keyboard(page: Page) -> None:
     assert set(heads) == {"row", "col"}
 
 
-def test_what_it_says_is_what_the_run_says(page: Page, results: Results) -> None:
+def test_the_page_contains_gates_moments_and_reasons_of_the_run(
+    page: Page, results: Results
+) -> None:
     text = " ".join(" ".join(page.text).split())
     over = overview(results)
     for said in (
@@ -155,7 +157,7 @@ def test_what_it_says_is_what_the_run_says(page: Page, results: Results) -> None
 
 
 @pytest.mark.slow
-def test_same_run_same_bytes_wherever_it_is(results: Results, tmp_path: Path) -> None:
+def test_the_same_run_gives_the_same_bytes_in_any_folder(results: Results, tmp_path: Path) -> None:
     for name in ("a", "b"):
         write_html(overview(load(results.path)), tmp_path / name / "report.html")
     first, second = ((tmp_path / name / "report.html").read_bytes() for name in ("a", "b"))
@@ -179,7 +181,7 @@ def test_a_drive_costs_less_than_fifty_kilobytes(results: Results, tmp_path: Pat
     assert (sizes[1] - sizes[0]) / 5 < MOST_BYTES_A_DRIVE
 
 
-def test_a_damaged_trace_costs_its_pictures_only(results: Results, tmp_path: Path) -> None:
+def test_a_damaged_trace_removes_only_its_pictures(results: Results, tmp_path: Path) -> None:
     trace = results.drive("test/free", "dp_qp").trace_file
     whole = trace.read_bytes()
     try:
@@ -192,7 +194,7 @@ def test_a_damaged_trace_costs_its_pictures_only(results: Results, tmp_path: Pat
     )
 
 
-def test_what_fails_in_a_report_costs_itself(
+def test_an_error_in_a_part_of_a_report_removes_only_that_part(
     results: Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A chart, an account, a page: each may raise.

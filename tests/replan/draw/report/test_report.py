@@ -123,7 +123,7 @@ def test_the_terminal_names_the_loop_of_each_verdict(results: Results, tmp_path:
     assert all(f"{row.rule} [{row.mode}]" in written.getvalue() for row in over.gates if row.mode)
 
 
-def test_junit_counts_what_the_tables_say(results: Results) -> None:
+def test_junit_counts_equal_the_tables(results: Results) -> None:
     suites = parsed(results)
     assert set(suites) == {"run", *(f"{planner}.{mode}" for planner in PLANNERS for mode in MODES)}
     for planner in PLANNERS:
@@ -152,7 +152,7 @@ def test_junit_counts_what_the_tables_say(results: Results) -> None:
     assert parsed(results)["constant_speed.closed"].failures > 0
 
 
-def test_junit_says_where_and_why(results: Results) -> None:
+def test_a_junit_failure_names_log_time_and_agent(results: Results) -> None:
     suites = parsed(results)
     (crash,) = (
         case
@@ -182,7 +182,7 @@ def test_junit_says_where_and_why(results: Results) -> None:
     )
 
 
-def test_what_all_logs_say_together_is_a_test_of_its_own(results: Results) -> None:
+def test_a_gate_over_all_logs_is_one_junit_test(results: Results) -> None:
     suites = parsed(results)
     together = {
         case.name: case
@@ -293,7 +293,7 @@ def test_markdown_tables_are_those_of_the_overview(results: Results) -> None:
     assert "closed loop ended by" in drives[0] and len(drives[0]) == len(over.columns) + 4
 
 
-def test_of_many_drives_the_worst_are_in_sight(results: Results) -> None:
+def test_a_long_table_of_drives_folds_all_but_the_worst(results: Results) -> None:
     over = overview(results)
     rows = [replace(over.drives[i % 6], log=f"log{i}") for i in range(60)]
     many = replace(over, drives=sorted(rows, key=lambda row: row.rank))
@@ -304,7 +304,7 @@ def test_of_many_drives_the_worst_are_in_sight(results: Results) -> None:
     assert order == sorted(order) and order[0] == 0
 
 
-def test_a_hostile_name_is_only_a_name(results: Results) -> None:
+def test_a_hostile_name_is_escaped_in_markdown(results: Results) -> None:
     text = markdown(overview(results))
     names = {row[0] for row in table(text, "log")[1:]}
     assert names == {"test/free", "test/blocked", visible_name(HOSTILE)}
@@ -314,7 +314,7 @@ def test_a_hostile_name_is_only_a_name(results: Results) -> None:
 
 
 @given(st.text(alphabet=st.characters(exclude_categories=("Cs",)), max_size=40))
-def test_any_text_stays_itself_in_a_cell(words: str) -> None:
+def test_any_text_is_shown_unchanged_in_a_markdown_cell(words: str) -> None:
     plain = " ".join(
         "".join(
             c if c.isprintable() or c.isspace() else "\N{REPLACEMENT CHARACTER}" for c in words
@@ -325,7 +325,7 @@ def test_any_text_stays_itself_in_a_cell(words: str) -> None:
     assert row == [plain, "last"]
 
 
-def test_links_lead_to_files_that_are_there(results: Results) -> None:
+def test_links_of_a_report_lead_to_existing_files(results: Results) -> None:
     out = results.path
     write_reports(overview(results), out)
     tokens = MarkdownIt("gfm-like", {"linkify": False}).parse(
@@ -338,7 +338,7 @@ def test_links_lead_to_files_that_are_there(results: Results) -> None:
     assert all((out / link).is_file() for link in links)
 
 
-def test_a_comparison_is_reported_and_counts(results: Results) -> None:
+def test_a_failed_rule_of_comparison_fails_the_report(results: Results) -> None:
     drive, numbers = (
         ("test/free", "logged", "closed", "gap.min", "m", "higher"),
         (1.0, 0.5, -0.5, 0.5, 0.5),
@@ -365,9 +365,7 @@ def test_a_comparison_is_reported_and_counts(results: Results) -> None:
     assert overview(results, found).exit_code == 3
 
 
-def test_the_step_summary_of_ci_is_appended_to_and_stands_alone(
-    results: Results, tmp_path: Path
-) -> None:
+def test_the_step_summary_is_appended_without_links(results: Results, tmp_path: Path) -> None:
     step = tmp_path / "summary.md"
     step.write_text("before\n", encoding="utf-8")
     append_step_summary(overview(results), {"GITHUB_STEP_SUMMARY": str(step)})
@@ -379,7 +377,7 @@ def test_the_step_summary_of_ci_is_appended_to_and_stands_alone(
 
 
 @given(st.integers(0, 3000))
-def test_a_long_summary_is_cut_between_lines_and_says_so(most: int) -> None:
+def test_a_long_summary_is_cut_between_lines_with_a_note(most: int) -> None:
     text = "# head\n\n<details>\n<summary>x</summary>\n\n" + "| é | b |\n" * 200 + "\n</details>\n"
     short = shortened(text, most)
     assert len(short.encode()) <= most
@@ -390,7 +388,7 @@ def test_a_long_summary_is_cut_between_lines_and_says_so(most: int) -> None:
         assert all(line in text or "shortened" in line for line in short.splitlines())
 
 
-def test_the_limit_of_ci_is_kept_with_what_is_there_already(
+def test_the_limit_of_a_step_summary_counts_its_present_contents(
     results: Results, tmp_path: Path
 ) -> None:
     step = tmp_path / "summary.md"
@@ -400,7 +398,7 @@ def test_the_limit_of_ci_is_kept_with_what_is_there_already(
     assert "This report is shortened" in step.read_text(encoding="utf-8")
 
 
-def test_a_folder_says_the_same_wherever_it_is(results: Results, tmp_path: Path) -> None:
+def test_reports_do_not_depend_on_the_place_of_the_folder(results: Results, tmp_path: Path) -> None:
     shutil.copytree(results.path, tmp_path / "elsewhere" / "run")
     both = (results, load(tmp_path / "elsewhere/run"))
     for found in both:
@@ -411,7 +409,9 @@ def test_a_folder_says_the_same_wherever_it_is(results: Results, tmp_path: Path)
             assert str(place).encode() not in before.read_bytes()
 
 
-def test_replan_report_writes_them_where_it_is_told(results: Results, tmp_path: Path) -> None:
+def test_replan_report_writes_into_the_folder_of_its_option(
+    results: Results, tmp_path: Path
+) -> None:
     clean = {key: None for key in os.environ if key.startswith("GITHUB_")}
     done = CliRunner(env=clean).invoke(
         app, ["report", str(results.path), "-o", str(tmp_path / "reports")]
@@ -433,7 +433,7 @@ RAW = ("\x1b[2J", "\x1b]0", "\x07", "\r", "\x9b", "\u202e", "\x7f")
 
 
 @given(text=st.text())
-def test_nothing_invisible_is_left_and_nothing_else_is_changed(text: str) -> None:
+def test_visible_replaces_control_characters_alone(text: str) -> None:
     seen = visible(text)
     assert len(seen) == len(text) and visible(seen) == seen
     assert not any((ord(c) < 32 and c not in "\n\t") or 0x7F <= ord(c) < 0xA0 for c in seen)
@@ -464,7 +464,7 @@ def test_a_console_styles_its_own_words_alone(colour: bool) -> None:
     assert "\u241b[2J" in shown
 
 
-def test_no_command_lets_a_name_through(tmp_path: Path) -> None:
+def test_no_command_prints_control_characters_of_names(tmp_path: Path) -> None:
     write_scenario(tmp_path / "log.mcap", replace(short("x"), name=EVIL))
     evaluate = [
         "evaluate",
@@ -486,7 +486,7 @@ def test_no_command_lets_a_name_through(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_an_encoding_that_lacks_a_letter_is_no_traceback(tmp_path: Path) -> None:
+def test_a_letter_that_the_encoding_lacks_is_replaced(tmp_path: Path) -> None:
     write_scenario(tmp_path / "北.mcap", short("x"))
     path = os.pathsep.join(sys.path)
     environment = {

@@ -27,6 +27,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +54,9 @@ from replan.logs.road import IN_JUNCTION, Lane, Road, predecessors
 from replan.logs.rules import Colour, Crosswalk, StopLine, TrafficLight
 from replan.logs.states import Trajectory
 
-LANE, LANE_GROUP, CROSSWALK, CAR_PARK, DRIVABLE, STOP_ZONE, ROAD_LINE = 0, 1, 3, 5, 6, 7, 9
+LANE, LANE_GROUP = 0, 1
+CROSSWALK, CAR_PARK, DRIVABLE = 3, 5, 6
+STOP_ZONE, ROAD_LINE = 7, 9
 LANE_TYPES = ("undefined", "freeway", "surface_street", "bike_lane", "bus_lane")
 NOT_DRIVABLE = ("bike_lane", "bus_lane")
 MARKS = (
@@ -181,8 +184,7 @@ def road_of_map(
         walks = tuple(Crosswalk(i, ring) for i, ring in outlines if len(ring) >= 3)
         ground = (
             _ring(f, zero)
-            for layer in (CAR_PARK, DRIVABLE)
-            for _, f, _ in objects.of(layer)
+            for _, f, _ in chain(objects.of(CAR_PARK), objects.of(DRIVABLE))
             if _is_near(f.get("outline"), near)
         )
         areas = tuple(ring for ring in ground if len(ring) >= 3)
@@ -195,14 +197,17 @@ def road_of_map(
         if any(len(lane.successors) > 1 for lane in lanes.values()):
             notes.append("The map has no right of way: priority where lanes meet is not known.")
         grouped = [(f.get("lane_group_id"), i) for i, f in chosen if i in lanes]
-        way = tuple(i for group in route for of, i in grouped if of == group)
+        lanes_of_groups: dict[Any, list[int]] = {}
+        for group, i in grouped:
+            lanes_of_groups.setdefault(group, []).append(i)
+        route_lanes = tuple(i for group in route for i in lanes_of_groups.get(group, ()))
         return Road(
             lanes,
             drives_on_right=keeps_right,
             stop_lines=lines,
             crosswalks=walks,
             areas=areas,
-            route=way,
+            route=route_lanes,
         )
 
 
@@ -219,12 +224,12 @@ def read_objects(path: Path) -> MapObjects:
             strict=True,
         )
         for i, layer, features, geometry in rows:
-            found = msgspec.msgpack.decode(features)
-            if not isinstance(found, dict):
+            properties = msgspec.msgpack.decode(features)
+            if not isinstance(properties, dict):
                 raise LogError(f"object {i} of layer {layer} has no features", remedy=COPY_AGAIN)
-            layers.setdefault(layer, []).append((i, found, geometry))
-        for layer, some in layers.items():
-            if len({i for i, _, _ in some}) < len(some):
+            layers.setdefault(layer, []).append((i, properties, geometry))
+        for layer, members in layers.items():
+            if len({i for i, _, _ in members}) < len(members):
                 raise LogError(f"two objects of layer {layer} have the same id", remedy=COPY_AGAIN)
         return MapObjects(layers, metadata_of(table))
 
@@ -259,7 +264,7 @@ def _ring(f: Mapping[str, Any], origin: FloatArray) -> FloatArray:
 
 def line_of_wkb(geometry: bytes) -> FloatArray:
     """Return the points `(n, 2)` of a little-endian EWKB line, 2D or 3D."""
-    kind, count = (int.from_bytes(geometry[at : at + 4], "little") for at in (1, 5))
+    kind, count = (int.from_bytes(geometry[offset : offset + 4], "little") for offset in (1, 5))
     if geometry[:1] != b"\x01" or kind not in (2, 0x80000002):
         raise ValueError(f"a road line has the geometry type {kind:#x}")
     size = 2 if kind == 2 else 3
@@ -297,11 +302,11 @@ def _marks(
         for i, f in lanes
         for side in ("left", "right")
     }
-    found = {
+    known = {
         key: MARKS[exact[line.tobytes()]] for key, line in sides.items() if line.tobytes() in exact
     }
-    if len({sides[key].tobytes() for key in found}) >= 0.5 * len(exact):
-        return found
+    if len({sides[key].tobytes() for key in known}) >= 0.5 * len(exact):
+        return known
     notes.append(
         f"Lanes have the markings of the map's road lines within {MARK_M} m of their edges."
     )
@@ -310,15 +315,15 @@ def _marks(
     close = [(dense(line, STEP_M), kind) for line, kind in lines]
     tree = cKDTree(np.vstack([line for line, _ in close]))
     kinds = np.concatenate([np.full(len(line), kind) for line, kind in close])
-    out = {}
+    marks = {}
     for edge, side in sides.items():
         if _is_line(side):
             points = dense(side, STEP_M)
-            away, at = tree.query(points, distance_upper_bound=MARK_M)
-            beside = kinds[np.asarray(at)[np.isfinite(away)]]
+            away, nearest = tree.query(points, distance_upper_bound=MARK_M)
+            beside = kinds[np.asarray(nearest)[np.isfinite(away)]]
             if 2 * len(beside) >= len(points):
-                out[edge] = MARKS[Counter(beside.tolist()).most_common(1)[0][0]]
-    return out
+                marks[edge] = MARKS[Counter(beside.tolist()).most_common(1)[0][0]]
+    return marks
 
 
 def _is_line(points: FloatArray) -> bool:
@@ -332,9 +337,9 @@ def _is_line(points: FloatArray) -> bool:
 
 def ends_at(lane: Lane, part: float) -> FloatArray:
     """Return the ends `(2, 2)` of a line across a lane at a relative length of 0 to 1."""
-    way = arc_lengths(*lane.center.T) / lane.length
+    shares = arc_lengths(*lane.center.T) / lane.length
     return np.array(
-        [[np.interp(part, way, side[:, k]) for k in (0, 1)] for side in (lane.left, lane.right)]
+        [[np.interp(part, shares, side[:, k]) for k in (0, 1)] for side in (lane.left, lane.right)]
     )
 
 
@@ -347,7 +352,7 @@ def stop_lines(
 
     A zone that lies on none of its lanes is left out.
     """
-    feeding, found, lost = predecessors(lanes), list[StopLine](), 0
+    feeding, lines, lost = predecessors(lanes), list[StopLine](), 0
     for f, ring in zones:
         named = [lanes[i] for i in _ids(f.get("lane_ids")) if i in lanes]
         # lane, relative length, lanes that it applies to
@@ -360,10 +365,10 @@ def stop_lines(
             if part is not None and (part * lane.length > STEP_M or not ahead):
                 placed.append((lane.id, part, ()))
                 continue
-            for one in ahead:
-                entry = _entry_into_outline(one, ring)
+            for lane_ahead in ahead:
+                entry = _entry_into_outline(lane_ahead, ring)
                 if entry is not None or part is not None:
-                    placed.append((one.id, 1.0 if entry is None else entry, (lane.id,)))
+                    placed.append((lane_ahead.id, 1.0 if entry is None else entry, (lane.id,)))
         lost += not placed
         kind = f.get("stop_zone_type")
         for across, part, towards in placed:
@@ -374,14 +379,14 @@ def stop_lines(
                 ]
             for light, ways in lights:
                 ends = ends_at(lanes[across], part)
-                found.append(StopLine(len(found), across, ends, light, kind == ZONE_STOP, ways))
+                lines.append(StopLine(len(lines), across, ends, light, kind == ZONE_STOP, ways))
     if lost:
         notes.append(
             f"{lost} of {len(zones)} stop zones lie on none of the lanes that they name and are "
             "left out."
         )
     joined: dict[Any, StopLine] = {}  # equal lines at the same place are merged
-    for line in found:
+    for line in lines:
         key = (line.lane, line.points.tobytes(), line.light, line.must_stop)
         known = joined.setdefault(
             key, replace(line, id=len(joined), towards=tuple(dict.fromkeys(line.towards)))
@@ -439,8 +444,10 @@ def _route_of(folder: Path) -> tuple[int, ...]:
         return ()
     table = ipc_table(path, (f"{path.stem}.data",))
     with reading(path):
-        said = msgspec.msgpack.decode(table[f"{path.stem}.data"][0].as_py()) if len(table) else {}
-        names = said.get("route_roadblock_ids") if isinstance(said, dict) else None
+        content = (
+            msgspec.msgpack.decode(table[f"{path.stem}.data"][0].as_py()) if len(table) else {}
+        )
+        names = content.get("route_roadblock_ids") if isinstance(content, dict) else None
         return tuple(
             int(name) for name in map(str, names or ()) if name.isdecimal() and len(name) < 19
         )
@@ -537,10 +544,10 @@ def _observed_lights(folder: Path, start_us: int, notes: list[str]) -> tuple[Tra
         colours = [COLOURS[s] if 0 <= s < len(COLOURS) else Colour.OFF for s in status]
         lights = []
         for i in np.unique(lane):
-            at = np.flatnonzero(lane == i)
-            at = at[np.unique(t[at], return_index=True)[1]]
+            rows = np.flatnonzero(lane == i)
+            rows = rows[np.unique(t[rows], return_index=True)[1]]
             changes = [
-                k for n, k in enumerate(at) if n == 0 or colours[k] is not colours[at[n - 1]]
+                k for n, k in enumerate(rows) if n == 0 or colours[k] is not colours[rows[n - 1]]
             ]
             lights.append(TrafficLight(int(i), t[changes], tuple(colours[k] for k in changes)))
         return tuple(lights)

@@ -116,9 +116,9 @@ def on_map(scenario: Scenario, found: MapFile, path: Path, kind: str) -> Scenari
             f"{path.name}: {100.0 * on.mean():.0f} % of the driven path lies on its drivable lanes."
         )
     if not found.side_known:
-        kept = own.drives_on_right if own.source is RoadSource.LANES else True
-        road = replace(road, drives_on_right=kept)
-        side = "right" if kept else "left"
+        on_right = own.drives_on_right if own.source is RoadSource.LANES else True
+        road = replace(road, drives_on_right=on_right)
+        side = "right" if on_right else "left"
         notes.append(
             f"{path.name} does not show on which side traffic drives: the {side} is assumed."
         )
@@ -170,15 +170,15 @@ def _check_fit(found: MapFile, path: Path, lanes: list[Lane], ego: Trajectory) -
     points the other way.
     """
     driven = arc_lengths(ego.x, ego.y)
-    at = np.unique(np.searchsorted(driven, np.arange(0.0, driven[-1] + 1e-9, STEP_M)))
-    x, y, yaw = ego.x[at], ego.y[at], ego.yaw[at]
+    samples = np.unique(np.searchsorted(driven, np.arange(0.0, driven[-1] + 1e-9, STEP_M)))
+    x, y, yaw = ego.x[samples], ego.y[samples], ego.yaw[samples]
     on, along = np.zeros(len(x), np.bool_), np.zeros(len(x), np.bool_)
     road = Road({lane.id: lane for lane in lanes})
     for k in range(len(x)):
-        there = road.lanes_at(float(x[k]), float(y[k]))
-        on[k] = bool(there)
+        lanes_here = road.lanes_at(float(x[k]), float(y[k]))
+        on[k] = bool(lanes_here)
         along[k] = any(
-            on_lane(lane, x[k : k + 1], y[k : k + 1], yaw[k : k + 1])[0] for lane in there
+            on_lane(lane, x[k : k + 1], y[k : k + 1], yaw[k : k + 1])[0] for lane in lanes_here
         )
     if on.mean() < LEAST_SHARE:
         from scipy.spatial import cKDTree  # imported late: slow to load

@@ -86,9 +86,10 @@ def read_lanelet2(path: Path, settings: Mapping[str, str]) -> MapFile:
             way_points(way, rows) for way in osm.ways.values() if way.tags.get("type") in _GROUND
         )
         areas = {
-            i: _outline(osm, each, rows)
-            for i, each in osm.relations.items()
-            if each.tags.get("type") == "multipolygon" and each.tags.get("subtype") in _AREAS
+            i: _outline(osm, relation, rows)
+            for i, relation in osm.relations.items()
+            if relation.tags.get("type") == "multipolygon"
+            and relation.tags.get("subtype") in _AREAS
         }
         outlines = (*shapes, *areas.values())
         rings = [line[:-1] if len(line) > 1 and line[0] == line[-1] else line for line in outlines]
@@ -107,14 +108,14 @@ def read_lanelet2(path: Path, settings: Mapping[str, str]) -> MapFile:
         )
         for key, count in sorted(osm.blanks.items()):
             notes.append(f"{count} tags have blanks around the key '{key}': it is read without.")
-        drawn = sum(1 for each in osm.relations.values() for _ in each.named("centerline"))
+        drawn = sum(1 for relation in osm.relations.values() for _ in relation.named("centerline"))
         if drawn:
             notes.append(
                 f"{drawn} drawn centre lines are not read: the middle between the boundaries "
                 "counts."
             )
-        unread = (each for name, each in osm.relations.items() if not areas.get(name))
-        others = Counter(each.tags.get("type", "without type") for each in unread)
+        unread = (relation for name, relation in osm.relations.items() if not areas.get(name))
+        others = Counter(relation.tags.get("type", "without type") for relation in unread)
         for kind in ("lanelet", "regulatory_element"):
             del others[kind]
         if others:
@@ -132,12 +133,12 @@ def _outline(osm: Osm, area: Element, rows: Mapping[int, int]) -> Sequence[int]:
     ways = [list(way_points(osm.ways[ref], rows)) for ref in area.named("outer") if ref in osm.ways]
     if not ways or not all(ways) or any(True for _ in area.named("inner")):
         return ()
-    out = ways[0] if len(ways) < 2 or ways[0][-1] in (ways[1][0], ways[1][-1]) else ways[0][::-1]
+    ring = ways[0] if len(ways) < 2 or ways[0][-1] in (ways[1][0], ways[1][-1]) else ways[0][::-1]
     for way in ways[1:]:
-        if out[-1] not in (way[0], way[-1]):
+        if ring[-1] not in (way[0], way[-1]):
             return ()
-        out = out + (way if way[0] == out[-1] else way[::-1])[1:]
-    return out if len(out) > 3 and out[0] == out[-1] else ()
+        ring = ring + (way if way[0] == ring[-1] else way[::-1])[1:]
+    return ring if len(ring) > 3 and ring[0] == ring[-1] else ()
 
 
 def _height(node: Element) -> float:
@@ -200,7 +201,9 @@ def rules_of(
                 by_rule[rule].append(strip.id)
     held = _Map(osm, rows, xy, lanes, before, by_rule)
     elements = [
-        each for each in osm.relations.values() if each.tags.get("type") == "regulatory_element"
+        relation
+        for relation in osm.relations.values()
+        if relation.tags.get("type") == "regulatory_element"
     ]
     unread = Counter(e.tags.get("subtype", "without subtype") for e in elements)
     for subtype in _READ:
@@ -229,14 +232,14 @@ def rules_of(
         by_kind[element.tags.get("subtype", "")].append(element)
     yields = defaultdict[int, set[int]](set)
     for element in by_kind["right_of_way"]:
-        for one, first in product(
+        for yielding, first in product(
             held.lanelets(element, "yield"), held.lanelets(element, "right_of_way")
         ):
-            if meet(lanes[one], lanes[first]):
-                yields[one].add(first)
+            if meet(lanes[yielding], lanes[first]):
+                yields[yielding].add(first)
                 continue
             # What follows on the two
-            for lane, other in product(lanes[one].successors, lanes[first].successors):
+            for lane, other in product(lanes[yielding].successors, lanes[first].successors):
                 if (
                     lane != other
                     and lane in lanes

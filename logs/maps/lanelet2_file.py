@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -138,8 +139,8 @@ def whole(text: str | None, place: str) -> int:
     try:
         value = int(text or "")
     except ValueError:
-        value = 1 << 62
-    if abs(value) >= 1 << 62:
+        value = None
+    if value is None or abs(value) >= 2**62:
         raise LogError(f"{(text or '')[:40]!r} is no id", topic=place, remedy="correct the element")
     return value if value >= 0 else NEW_ID - value
 
@@ -161,10 +162,8 @@ def placed_points(
     """Return the points of all ways, the origin of their coordinates in words, and the coordinates
     `(n, 2)`, m.
     """
-    used = dict.fromkeys(
-        node for way in osm.ways.values() for node in way.nodes if node in osm.nodes
-    )
-    nodes = [osm.nodes[node] for node in used]
+    used = dict.fromkeys(chain.from_iterable(way.nodes for way in osm.ways.values()))
+    nodes = [osm.nodes[node] for node in used if node in osm.nodes]
     if len(nodes) < 4:
         raise LogError("its ways have less than four points", remedy="give a Lanelet2 map")
     local = all(key in node.tags for node in nodes for key in _LOCAL)
@@ -214,8 +213,8 @@ def _projector_info(path: Path) -> Projection:
         return parse_projection(values.get("mgrs_grid", "") or "mgrs")
     if kind not in _AUTOWARE:
         remedy = f"known are MGRS, {', '.join(_AUTOWARE)}; or set [log] map_origin"
-        what = f"projector_type is {kind!r}, and the points have no local_x and local_y"
-        raise LogError(what, file=path, remedy=remedy)
+        problem = f"projector_type is {kind!r}, and the points have no local_x and local_y"
+        raise LogError(problem, file=path, remedy=remedy)
     place = check_on_earth(*(real(values.get(key, ""), key) for key in ("latitude", "longitude")))
     scale = real(values.get("scale_factor", str(UTM_SCALE)), "scale_factor")
     return Projection(_AUTOWARE[kind], place, scale=scale)

@@ -147,7 +147,9 @@ def strips_of(
     directions.
     """
     strips, broken = [], 0
-    lanelets = [each for each in osm.relations.values() if each.tags.get("type") == "lanelet"]
+    lanelets = [
+        relation for relation in osm.relations.values() if relation.tags.get("type") == "lanelet"
+    ]
     for lanelet in lanelets:
         bounds = []
         for side in ("left", "right"):
@@ -177,8 +179,8 @@ def strips_of(
 
 def way_points(way: Element, rows: Mapping[int, int]) -> Points:
     """Return the points of a way that are in the file, without consecutive repetitions."""
-    found = [rows[node] for node in way.nodes if node in rows]
-    return tuple(row for k, row in enumerate(found) if k == 0 or row != found[k - 1])
+    points = [rows[node] for node in way.nodes if node in rows]
+    return tuple(row for k, row in enumerate(points) if k == 0 or row != points[k - 1])
 
 
 def oriented(left: Bound, right: Bound, xy: FloatArray) -> tuple[Bound, Bound]:
@@ -236,11 +238,11 @@ def _pairs(a: FloatArray, b: FloatArray) -> tuple[IntArray, IntArray]:
     rows[0], columns[0] = i, j
     while i > 0 or j > 0:
         both = cost[i - 1, j - 1] if i > 0 and j > 0 else np.inf
-        one = cost[i - 1, j] if i > 0 else np.inf
+        first = cost[i - 1, j] if i > 0 else np.inf
         other = cost[i, j - 1] if j > 0 else np.inf
-        if both <= one and both <= other:
+        if both <= first and both <= other:
             i, j = i - 1, j - 1
-        elif one <= other:
+        elif first <= other:
             i -= 1
         else:
             j -= 1
@@ -257,15 +259,15 @@ def divided(line: FloatArray, longest: float, most: float) -> FloatArray:
     s = arc_lengths(*line.T)
     parts = np.maximum(1.0, np.ceil(np.diff(s) / longest))
     if parts.sum() > most:
-        at = np.linspace(0.0, s[-1], int(most))
+        stations = np.linspace(0.0, s[-1], int(most))
     else:
-        at = np.r_[
+        stations = np.r_[
             np.concatenate(
                 [np.linspace(s[k], s[k + 1], int(n) + 1)[:-1] for k, n in enumerate(parts)]
             ),
             s[-1],
         ]
-    return np.column_stack([np.interp(at, s, line[:, 0]), np.interp(at, s, line[:, 1])])
+    return np.column_stack([np.interp(stations, s, line[:, 0]), np.interp(stations, s, line[:, 1])])
 
 
 @dataclass(frozen=True, eq=False)
@@ -284,18 +286,18 @@ class _Beside:
     def of(cls, strips: Sequence[DirectedLanelet], xyz: FloatArray) -> _Beside:
         bounds = [bound.points for strip in strips for bound in (strip.left, strip.right)]
         ends = joined(xyz, [row for points in bounds for row in (points[0], points[-1])])
-        found = cls(xyz[:, :2], ends, defaultdict(list), defaultdict(list), defaultdict(list))
+        index = cls(xyz[:, :2], ends, defaultdict(list), defaultdict(list), defaultdict(list))
         for strip in strips:
             left, right = strip.left.points, strip.right.points
-            found.begins[ends[left[0]], ends[right[0]], strip.drivable].append(strip.id)
-            found.left[ends[left[0]], ends[left[-1]], strip.drivable].append(strip)
-            found.right[ends[right[0]], ends[right[-1]], strip.drivable].append(strip)
-        for places in (found.begins, found.left, found.right):
+            index.begins[ends[left[0]], ends[right[0]], strip.drivable].append(strip.id)
+            index.left[ends[left[0]], ends[left[-1]], strip.drivable].append(strip)
+            index.right[ends[right[0]], ends[right[-1]], strip.drivable].append(strip)
+        for places in (index.begins, index.left, index.right):
             if max(map(len, places.values()), default=0) > MOST_HERE:
                 raise LogError(
                     f"more than {MOST_HERE} lanelets begin at one place", remedy="correct the map"
                 )
-        return found
+        return index
 
     def after(self, strip: DirectedLanelet) -> tuple[int, ...]:
         """Return the lanes that begin at the end of a lanelet."""
@@ -307,15 +309,15 @@ class _Beside:
         direction.
         """
         bound = getattr(strip, side).points if same else getattr(strip, side).points[::-1]
-        across = side if not same else "left" if side == "right" else "right"
+        across = {"left": "right", "right": "left"}[side] if same else side
         key = self.ends[bound[0]], self.ends[bound[-1]], strip.drivable
         for other in getattr(self, across)[key]:
             points = getattr(other, across).points
             if other.id == strip.id:
                 continue
             if points != bound:
-                one, two = (resampled(self.xy[list(line)], 9) for line in (points, bound))
-                if not np.hypot(*(one - two).T).max() < ALIKE_M:
+                own, facing = (resampled(self.xy[list(line)], 9) for line in (points, bound))
+                if not np.hypot(*(own - facing).T).max() < ALIKE_M:
                     continue
             return int(other.id)
         return None
@@ -362,7 +364,7 @@ def lanes_of(
             kind=strip.tags.get("subtype", "lanelet")
             + f"+{IN_JUNCTION}" * ("intersection_area" in strip.tags),
         )
-    notes += [f"{count} {what} are ignored." for what, count in sorted((+unread).items())]
+    notes += [f"{count} {ignored} are ignored." for ignored, count in sorted((+unread).items())]
     doubled = len(beside.ends) - len(set(beside.ends.values()))
     if doubled:
         notes.append(
@@ -395,7 +397,7 @@ def speed_in(text: str) -> float:
     speed.
     """
     sign = _SIGN_274.fullmatch(text)
-    found = _SPEED.fullmatch(sign[1] if sign is not None else text.strip().lower())
-    if found is None or float(found[1]) <= 0.0 or float(found[1]) >= 1e4:
+    match = _SPEED.fullmatch(sign[1] if sign is not None else text.strip().lower())
+    if match is None or float(match[1]) <= 0.0 or float(match[1]) >= 1e4:
         return nan
-    return float(found[1]) * _UNITS.get(found[2] or "", _KPH)
+    return float(match[1]) * _UNITS.get(match[2] or "", _KPH)

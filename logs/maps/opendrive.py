@@ -50,7 +50,7 @@ KEPT = 5
 """Every fifth point of pyxodr's lines is kept."""
 NARROWEST_M = 0.1
 """A lane section's lane that is nowhere wider has no area and is left out, m."""
-LARGEST_BYTES, LONGEST_M = 1 << 28, 1e6
+LARGEST_BYTES, LONGEST_M = 268_435_456, 1e6
 FARTHEST = 100.0
 """Largest reach of a polynomial over its length: pyxodr steps along it by `RESOLUTION_M`."""
 _DRIVABLE = {
@@ -240,7 +240,11 @@ def _simplify(part: Element) -> None:
     if curve.tag in ("poly3", "paramPoly3"):
         whole = curve.tag == "paramPoly3" and curve.get("pRange", "normalized") == "normalized"
         p = 1.0 if whole else length
-        keys = ((k, key) for k, one in enumerate("abcd") for key in (one, one + "U", one + "V"))
+        keys = (
+            (k, key)
+            for k, letter in enumerate("abcd")
+            for key in (letter, letter + "U", letter + "V")
+        )
         # Upper bound at its end, m
         reach = sum(abs(float(curve.get(key, "0"))) * p**k for k, key in keys)
         if not reach <= FARTHEST * length:
@@ -259,11 +263,13 @@ def _remove_section(road: Element, section: Element) -> None:
         (sections[k + 1 : k + 2], "predecessor"),
     ):
         onward = {lane.get("id"): lane.findall(f"link/{tag}") for lane in section.iter("lane")}
-        for link in (link for each in beside for link in each.iter("link")):
+        for link in (link for road in beside for link in road.iter("link")):
             through = [
-                next_one for one in link.findall(tag) for next_one in onward.get(one.get("id"), ())
+                next_one
+                for element in link.findall(tag)
+                for next_one in onward.get(element.get("id"), ())
             ]
-            link[:] = [*(one for one in link if one.tag != tag), *through]
+            link[:] = [*(element for element in link if element.tag != tag), *through]
     lanes.remove(section)
 
 
@@ -346,9 +352,9 @@ def _joints(
     by_place = {
         (piece.road.get("id", ""), piece.index, piece.place): piece.number for piece in pieces
     }
-    there = set()
+    linked = set()
     for name, of in sections.items():
-        there |= {
+        linked |= {
             (name, k, lane.get("id"))
             for k, section in enumerate(of)
             for lane in section.iter("lane")
@@ -372,9 +378,9 @@ def _joints(
                     contact = bool(away[1] < away[0])
                 index = len(sections.get(name, ())) - 1 if contact else 0
             for place in (
-                each.get("id", "") for each in piece.lane.lane_xml.findall(f"link/{tag}")
+                element.get("id", "") for element in piece.lane.lane_xml.findall(f"link/{tag}")
             ):
-                if (name, index, place) not in there:
+                if (name, index, place) not in linked:
                     loose.append(
                         f"from lane {piece.place} of road {own} to lane {place} of road {name}"
                     )
@@ -407,7 +413,11 @@ def _lanes(pieces: Sequence[_Piece], joints: Joints) -> Iterator[tuple[int, Lane
         near, far = _crossable(piece, inner=True), _crossable(piece, inner=False)
         ends = joints.get((piece.number, not piece.against), ())
         after = [(by_number[number], at_end) for number, at_end in ends]
-        after = [(each, at_end) for each, at_end in after if each.drivable == piece.drivable]
+        after = [
+            (following, at_end)
+            for following, at_end in after
+            if following.drivable == piece.drivable
+        ]
         yield (
             piece.number,
             Lane(
@@ -415,7 +425,11 @@ def _lanes(pieces: Sequence[_Piece], joints: Joints) -> Iterator[tuple[int, Lane
                 left[rows],
                 right[rows],
                 successors=tuple(
-                    sorted(each.number for each, at_end in after if at_end == each.against)
+                    sorted(
+                        following.number
+                        for following, at_end in after
+                        if at_end == following.against
+                    )
                 ),
                 left_neighbour=sides[0][0],
                 right_neighbour=sides[1][0],
@@ -444,8 +458,8 @@ def _crossable(piece: _Piece, *, inner: bool) -> bool:
     parts = kind.split()
     # Named from the middle outwards; that of the middle from left to right
     if set(parts) == {"solid", "broken"}:
-        own = 0 if (piece.place > 0 if name == 0 else not inner) else -1
-        return parts[own] == "broken"
+        is_first = piece.place > 0 if name == 0 else not inner
+        return parts[0 if is_first else -1] == "broken"
     return kind in _CROSSABLE
 
 
@@ -455,9 +469,14 @@ def _limit(piece: _Piece) -> float:
     own = [] if lane is None else lane.findall("speed")
     start = float(piece.section.get("s", "0"))
     types = [
-        each for each in piece.road.findall("type") if float(each.get("s", "0")) <= start + 1e-6
+        kind_at
+        for kind_at in piece.road.findall("type")
+        if float(kind_at.get("s", "0")) <= start + 1e-6
     ]
-    for element in (*own[:1], *(each for kind in types[-1:] for each in kind.findall("speed"))):
+    for element in (
+        *own[:1],
+        *(kind_at for kind in types[-1:] for kind_at in kind.findall("speed")),
+    ):
         try:
             speed = float(element.get("max", "")) * _UNITS.get(element.get("unit", "m/s"), nan)
         except ValueError:

@@ -157,13 +157,12 @@ def parse_projection(text: str) -> Projection:
     if text in ("utm", "mgrs"):
         return Projection(text)
     if place is not None:
-        return Projection(place[1] or "utm", check_on_earth(float(place[2]), float(place[3])))
-    if (
-        square is not None
-        and 1 <= int(square[1]) <= 60
-        and square[3] in _COLUMNS[(int(square[1]) - 1) % 3]
-    ):
-        return Projection("mgrs", square=square[0])
+        name, latitude, longitude = place.groups()
+        return Projection(name or "utm", check_on_earth(float(latitude), float(longitude)))
+    if square is not None:
+        zone, _, column, *_ = square.groups()
+        if 1 <= int(zone) <= 60 and column in _COLUMNS[(int(zone) - 1) % 3]:
+            return Projection("mgrs", square=square[0])
     raise LogError(f"no map origin: {text!r}", topic="[log] map_origin", remedy=f"give {FORMS}")
 
 

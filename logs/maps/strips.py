@@ -59,14 +59,14 @@ def lanes_of(strips: Sequence[LaneStrip], notes: list[str]) -> tuple[dict[int, L
             sides.append(points)
         if len(sides) < 2:
             continue
-        one, other = paired(sides[0], sides[1])
-        moved = np.r_[True, np.hypot(*np.diff(0.5 * (one + other), axis=0).T) > 1e-3]
+        first_side, second_side = paired(sides[0], sides[1])
+        moved = np.r_[True, np.hypot(*np.diff(0.5 * (first_side + second_side), axis=0).T) > 1e-3]
         if moved.sum() < 2:
             continue
         lanes[strip.id] = Lane(
             strip.id,
-            one[moved],
-            other[moved],
+            first_side[moved],
+            second_side[moved],
             successors=tuple(i for i in strip.successors if i != strip.id),
             speed_limit=strip.speed_limit if 0.0 < strip.speed_limit < 100.0 else float("nan"),
             drivable=strip.drivable,
@@ -79,25 +79,29 @@ def lanes_of(strips: Sequence[LaneStrip], notes: list[str]) -> tuple[dict[int, L
             f"{len(strips) - len(lanes)} of {len(strips)} lanes are left out: their boundaries are "
             "no strip."
         )
-    out, balance = {}, 0
+    by_id, balance = {}, 0
     for strip in strips:
         if strip.id not in lanes:
             continue
         lane = lanes[strip.id]
         left, right = (lanes.get(i) if i is not None else None for i in strip.beside)
-        same = [other is not None and _same_way(lane, other) for other in (left, right)]
+        same = [
+            lane_beside is not None and _same_way(lane, lane_beside)
+            for lane_beside in (left, right)
+        ]
         opposite = [
-            other is not None and not way for other, way in zip((left, right), same, strict=True)
+            lane_beside is not None and not is_same
+            for lane_beside, is_same in zip((left, right), same, strict=True)
         ]
         balance += opposite[0] - opposite[1]
-        out[lane.id] = replace(
+        by_id[lane.id] = replace(
             lane,
             left_neighbour=left.id if left is not None and same[0] else None,
             right_neighbour=right.id if right is not None and same[1] else None,
             left_opposite=opposite[0],
             right_opposite=opposite[1],
         )
-    return out, balance >= 0
+    return by_id, balance >= 0
 
 
 def crossable(mark: str, *, left: bool) -> bool:
@@ -129,5 +133,5 @@ def dense(line: FloatArray, step: float) -> FloatArray:
 def resampled(line: FloatArray, count: int) -> FloatArray:
     """Resample a polyline `(n, 2)` at `count` points, equally spaced in arc length."""
     s = arc_lengths(*line.T)
-    at = np.linspace(0.0, s[-1], count)
-    return np.column_stack([np.interp(at, s, line[:, k]) for k in (0, 1)])
+    stations = np.linspace(0.0, s[-1], count)
+    return np.column_stack([np.interp(stations, s, line[:, k]) for k in (0, 1)])

@@ -74,12 +74,12 @@ class Stream:
             raise LogError(
                 f"messages are encoded as {self.encoding!r}, expected 'json'", topic=self.topic
             )
-        decoder, out = msgspec.json.Decoder(kind), []
+        decoder, messages = msgspec.json.Decoder(kind), []
         for time, payload in zip(self.times, self.payloads, strict=True):
             try:
-                out.append(decoder.decode(payload))
+                messages.append(decoder.decode(payload))
             except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
-                what = f"message does not fit: {error}".replace("`", "")
+                problem = f"message does not fit: {error}".replace("`", "")
                 malformed = isinstance(error, msgspec.DecodeError) and not isinstance(
                     error, msgspec.ValidationError
                 )
@@ -91,24 +91,26 @@ class Stream:
                         .rpartition(b'"')[2]
                         .decode(errors="replace")
                     )
-                    what = f"{name} is {bare.decode()}, which is not JSON: a missing value is null"
-                raise LogError(what, topic=self.topic, time_ns=time, remedy=MEND) from None
-        return out
+                    problem = (
+                        f"{name} is {bare.decode()}, which is not JSON: a missing value is null"
+                    )
+                raise LogError(problem, topic=self.topic, time_ns=time, remedy=MEND) from None
+        return messages
 
     def check_order(self, *, strictly: bool) -> None:
         """Raise LogError if times go backwards, or, if `strictly`, two are equal."""
         for before, time in pairwise(self.times):
             if time < before:
-                what = f"time goes backwards, from {before / 1e9:.3f} s"
+                problem = f"time goes backwards, from {before / 1e9:.3f} s"
                 raise LogError(
-                    what,
+                    problem,
                     topic=self.topic,
                     time_ns=time,
                     remedy="write the messages in order of time",
                 )
             if strictly and time == before:
-                what = "two messages have the same time"
-                raise LogError(what, topic=self.topic, time_ns=time, remedy="keep one of them")
+                problem = "two messages have the same time"
+                raise LogError(problem, topic=self.topic, time_ns=time, remedy="keep one of them")
 
 
 MEND = "write the field as its schema in the file says"
@@ -156,8 +158,8 @@ def read_container(path: Path) -> Container:
             if isinstance(record, Statistics):
                 held = sum(map(len, streams.values()))
                 if held < record.message_count:
-                    what = f"it holds {held} messages, and its statistics state"
-                    raise LogError(f"{what} {record.message_count}", remedy=SALVAGE)
+                    problem = f"it holds {held} messages, and its statistics state"
+                    raise LogError(f"{problem} {record.message_count}", remedy=SALVAGE)
             if ended:
                 continue  # the records after it repeat schemas and channels
             if isinstance(record, Schema):
@@ -173,8 +175,8 @@ def read_container(path: Path) -> Container:
                 parts = (schema.name, schema.encoding, schema.data) if schema else ("", "", b"")
                 stream = streams.setdefault(topic, Stream(topic, record.message_encoding, *parts))
                 if (stream.encoding, stream.schema) != (record.message_encoding, parts[0]):
-                    what = f"two channels with different schemas, {stream.schema} and {parts[0]}"
-                    raise LogError(what, topic=topic, remedy="keep one of them")
+                    problem = f"two channels with different schemas, {stream.schema} and {parts[0]}"
+                    raise LogError(problem, topic=topic, remedy="keep one of them")
                 channels[record.id] = stream
             elif isinstance(record, Metadata):
                 metadata[record.name] = record.metadata
@@ -185,8 +187,8 @@ def read_container(path: Path) -> Container:
                     )
                 stream = channels[record.channel_id]
                 if record.log_time > LAST_TIME_NS:
-                    what = f"log time {record.log_time} ns is beyond any clock"
-                    raise LogError(what, topic=stream.topic, remedy=COPY_AGAIN)
+                    problem = f"log time {record.log_time} ns is beyond any clock"
+                    raise LogError(problem, topic=stream.topic, remedy=COPY_AGAIN)
                 stream.times.append(record.log_time)
                 stream.payloads.append(record.data)
         if not ended:
@@ -214,27 +216,27 @@ def _records(raw: bytes, streams: dict[str, Stream]) -> Iterator[McapRecord]:
             if isinstance(record, Chunk):
                 total += record.uncompressed_size
                 if total > MOST_BYTES:
-                    what = f"its chunks inflate to more than {MOST_BYTES / 2**30:.0f} GiB"
-                    raise LogError(what, time_ns=record.message_start_time, remedy=SPLIT)
+                    problem = f"its chunks inflate to more than {MOST_BYTES / 2**30:.0f} GiB"
+                    raise LogError(problem, time_ns=record.message_start_time, remedy=SPLIT)
                 yield from opened(record)
             else:
                 yield record
     except DAMAGE as error:
-        at, last = (
+        position, last = (
             buffer.tell(),
             max(((s.times[-1], s.topic) for s in streams.values() if len(s)), default=None),
         )
         time, topic = last if last is not None else (None, None)
-        if isinstance(error, InvalidMagic) and at <= 8:
+        if isinstance(error, InvalidMagic) and position <= 8:
             raise LogError("not an MCAP file (wrong magic)", remedy=CONVERT) from None
-        what = f"the file is damaged near byte {at} ({_name(error)})"
-        if isinstance(error, (EndOfFile, RecordLengthLimitExceeded, InvalidMagic)) or at >= len(
-            raw
-        ):
-            what = "the file is cut off or damaged" + (
+        problem = f"the file is damaged near byte {position} ({_name(error)})"
+        if isinstance(
+            error, (EndOfFile, RecordLengthLimitExceeded, InvalidMagic)
+        ) or position >= len(raw):
+            problem = "the file is cut off or damaged" + (
                 ": these are the last messages before it" if last else ""
             )
-        raise LogError(what, topic=topic, time_ns=time, remedy=SALVAGE) from None
+        raise LogError(problem, topic=topic, time_ns=time, remedy=SALVAGE) from None
 
 
 def opened(chunk: Chunk) -> list[McapRecord]:
@@ -252,12 +254,14 @@ def opened(chunk: Chunk) -> list[McapRecord]:
             remedy=remedy,
         )
     if chunk.uncompressed_size > MOST_CHUNK_BYTES:
-        what = (
+        problem = (
             f"a chunk of {len(chunk.data)} bytes would inflate to "
             f"{chunk.uncompressed_size / 2**20:.0f} MiB"
         )
         raise LogError(
-            what, time_ns=time, remedy=f"the bound is {MOST_CHUNK_BYTES / 2**20:.0f} MiB; {SPLIT}"
+            problem,
+            time_ns=time,
+            remedy=f"the bound is {MOST_CHUNK_BYTES / 2**20:.0f} MiB; {SPLIT}",
         )
     size = chunk.uncompressed_size
     try:
@@ -278,8 +282,8 @@ def opened(chunk: Chunk) -> list[McapRecord]:
         _check_known(data)
         return breakup_chunk(replace(chunk, compression="", data=data), validate_crc=True)
     except DAMAGE as error:
-        what = f"the chunk that begins there is damaged ({_name(error)})"
-        raise LogError(what, time_ns=time, remedy=remedy) from None
+        problem = f"the chunk that begins there is damaged ({_name(error)})"
+        raise LogError(problem, time_ns=time, remedy=remedy) from None
 
 
 class _Reader(StreamReader):

@@ -544,12 +544,12 @@ def _written_out(part: Any, components: dict[str, Any]) -> Any:
         return _written_out(components[part["$ref"].rpartition("/")[2]], components)
     # A docstring; a field of this name has a schema
     worded = isinstance(part.get("description"), str)
-    kept = {
+    shown = {
         key: _written_out(value, components)
         for key, value in part.items()
         if key != "description" or not worded
     }
-    return {**kept, "type": "string"} if "enum" in part else kept
+    return {**shown, "type": "string"} if "enum" in part else shown
 
 
 _NAMES = {

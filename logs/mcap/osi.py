@@ -127,23 +127,28 @@ def scenario_of(stream: Stream, name: str, ego_id: str = "") -> Scenario:
     if ego_id:
         seen.host = next((key for key in seen.rows if str(key) == ego_id), None)
     if seen.host is None or seen.host not in seen.rows:
-        what = (
+        problem = (
             "no host_vehicle_id"
             if seen.host is None
             else f"host vehicle {seen.host} is not among the objects"
         )
-        what = f"no moving object {ego_id}" if ego_id else what
+        problem = f"no moving object {ego_id}" if ego_id else problem
         held = ", ".join(map(str, list(seen.rows)[:MOST_NAMED])) or "none"
         remedy = f"name one of the moving objects ({held}) with --ego"
-        raise LogError(f"the log has no ego: {what}", topic=stream.topic, remedy=remedy)
+        raise LogError(f"the log has no ego: {problem}", topic=stream.topic, remedy=remedy)
     if ego_id:
         notes.append(f"The ego is object {ego_id}, as asked.")
     rows = {key: np.array(seen.rows[key]) for key in seen.rows}
     for key, values in rows.items():
         for k, column in np.argwhere(~np.isfinite(values[:, 1:4])).tolist():
-            what = f"{('x', 'y', 'yaw')[column]} of moving object {key} is {values[k, 1 + column]}"
+            problem = (
+                f"{('x', 'y', 'yaw')[column]} of moving object {key} is {values[k, 1 + column]}"
+            )
             raise LogError(
-                what, topic=stream.topic, time_ns=stream.times[int(values[k, 0])], remedy=COPY_AGAIN
+                problem,
+                topic=stream.topic,
+                time_ns=stream.times[int(values[k, 0])],
+                remedy=COPY_AGAIN,
             )
     origin = np.round(rows[seen.host][0, 1:3])
     for values in rows.values():
@@ -196,16 +201,16 @@ def _message_class(stream: Stream) -> type[Any]:
         files = descriptor_pb2.FileDescriptorSet.FromString(stream.schema_data).file
         kind: type[Any] = message_factory.GetMessages(files)[stream.schema]
     except (DecodeError, TypeError, KeyError, ValueError) as error:
-        what = f"the protobuf descriptor in the file cannot be used: {error}"
-        raise LogError(what, topic=stream.topic, remedy=COPY_AGAIN) from None
+        problem = f"the protobuf descriptor in the file cannot be used: {error}"
+        raise LogError(problem, topic=stream.topic, remedy=COPY_AGAIN) from None
     above = ("global_ground_truth",) if stream.schema == "osi3.SensorView" else ()
     for path in (f"{parent}.{name}" for parent, names in REQUIRED.items() for name in names):
         descriptor: Any = kind.DESCRIPTOR
         for name in (*above, *path.split(".")):
             if descriptor is None or name not in descriptor.fields_by_name:
-                what = f"the protobuf descriptor in the file has no field {path}"
+                problem = f"the protobuf descriptor in the file has no field {path}"
                 raise LogError(
-                    what, topic=stream.topic, remedy="write the log with OSI 3.5 or newer"
+                    problem, topic=stream.topic, remedy="write the log with OSI 3.5 or newer"
                 )
             descriptor = descriptor.fields_by_name[name].message_type
     return kind
@@ -217,19 +222,21 @@ def _decode_stream(stream: Stream) -> _Seen:
         try:
             message = kind.FromString(payload)
         except DecodeError as error:
-            what = f"message cannot be decoded: {error}"
-            raise LogError(what, topic=stream.topic, time_ns=log_time, remedy=COPY_AGAIN) from None
+            problem = f"message cannot be decoded: {error}"
+            raise LogError(
+                problem, topic=stream.topic, time_ns=log_time, remedy=COPY_AGAIN
+            ) from None
         truth = message.global_ground_truth if stream.schema == "osi3.SensorView" else message
         stamp = truth.timestamp
         time = (
             stamp.seconds * 1_000_000_000 + stamp.nanos if truth.HasField("timestamp") else log_time
         )
         if seen.times and time <= seen.times[-1]:
-            what = (
+            problem = (
                 f"time does not increase, from {seen.times[-1] / 1e9:.3f} s to {time / 1e9:.3f} s"
             )
             remedy = "write each frame once, in order of time"
-            raise LogError(what, topic=stream.topic, time_ns=log_time, remedy=remedy)
+            raise LogError(problem, topic=stream.topic, time_ns=log_time, remedy=remedy)
         if seen.host is None and truth.HasField("host_vehicle_id"):
             seen.host = truth.host_vehicle_id.value
         for item in truth.moving_object:
@@ -385,12 +392,12 @@ def _logical(osi: _OsiMap, origin: FloatArray) -> tuple[dict[int, Lane], dict[in
     for key, message in osi.logical_lane.items():
         sides = []
         for ids in (message.left_boundary_id, message.right_boundary_id):
-            found = [
+            boundaries = [
                 osi.logical_lane_boundary[i.value]
                 for i in ids
                 if i.value in osi.logical_lane_boundary
             ]
-            parts = [_points((p.position for p in b.boundary_line), origin) for b in found]
+            parts = [_points((p.position for p in b.boundary_line), origin) for b in boundaries]
             sides.append(np.vstack([np.empty((0, 2)), *parts]))
         if min(map(len, sides)) < 2:
             continue
@@ -472,16 +479,16 @@ def _lane_between_boundaries(
     known = osi.lane[key].classification
     lines, crossable = [], []
     for ids in (known.left_lane_boundary_id, known.right_lane_boundary_id):
-        found = [osi.lane_boundary[i.value] for i in ids if i.value in osi.lane_boundary]
+        boundaries = [osi.lane_boundary[i.value] for i in ids if i.value in osi.lane_boundary]
         placed = []  # the pieces in driving direction
-        for part in (_points((p.position for p in b.boundary_line), origin) for b in found):
+        for part in (_points((p.position for p in b.boundary_line), origin) for b in boundaries):
             if len(part) > 1:
                 first, last = station_on(center, part[0]), station_on(center, part[-1])
                 placed.append((min(first, last), part[::-1] if last < first else part))
         if not placed:
             return None
         lines.append(np.vstack([part for _, part in sorted(placed, key=itemgetter(0))]))
-        crossable.append(all(_enum_name(b.classification, "type") in CROSSABLE for b in found))
+        crossable.append(all(_enum_name(b.classification, "type") in CROSSABLE for b in boundaries))
     if _lateral_offset(center, lines[0])[0] < 0.0 < _lateral_offset(center, lines[1])[0]:
         lines, crossable = lines[::-1], crossable[::-1]
     left, right = paired(*lines)
@@ -521,11 +528,11 @@ def _lateral_offset(line: FloatArray, other: FloatArray) -> tuple[float, bool]:
     NaN if the middle does not project onto `other`.
     """
     steps = np.diff(line, axis=0)
-    way = arc_lengths(*line.T)
-    half = 0.5 * way[-1]
-    k = min(int(np.searchsorted(way, half, side="right")) - 1, len(steps) - 1)
+    stations = arc_lengths(*line.T)
+    half = 0.5 * stations[-1]
+    k = min(int(np.searchsorted(stations, half, side="right")) - 1, len(steps) - 1)
     tangent = steps[k] / np.hypot(*steps[k])
-    point = line[k] + (half - way[k]) * tangent
+    point = line[k] + (half - stations[k]) * tangent
     i, foot = foot_on(other, point)
     away = foot - point
     if abs(away @ tangent) > 0.5:
@@ -541,7 +548,7 @@ def _beside_each_other(
     """The lanes with their neighbours, and whether traffic drives on the right: opposite lanes are
     mostly left.
     """
-    out, balance = {}, 0
+    linked, balance = {}, 0
     for key, lane in lanes.items():
         # left, right
         nearest: dict[bool, tuple[int | None, bool]] = {True: (None, False), False: (None, False)}
@@ -560,7 +567,7 @@ def _beside_each_other(
             "left_neighbour": left if left_same else None,
             "right_neighbour": right if right_same else None,
         }
-        out[key] = replace(
+        linked[key] = replace(
             lane, **beside, left_opposite=left_opposite, right_opposite=right_opposite
         )
-    return out, balance >= 0
+    return linked, balance >= 0

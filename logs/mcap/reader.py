@@ -69,10 +69,10 @@ def scenario_of(container: Container, ego: str = "") -> Scenario:
     held = ", ".join(
         sorted({s.schema or f"{s.encoding} without schema" for s in container.streams.values()})
     )
-    what = f"neither a native nor an OSI log; it holds {held}"
+    problem = f"neither a native nor an OSI log; it holds {held}"
     if any(s.schema.startswith("replan.") for s in container.streams.values()):
-        what = f"a native log without its metadata record {native.SCENARIO_RECORD}"
-    raise LogError(what, file=container.path, remedy=CONVERT)
+        problem = f"a native log without its metadata record {native.SCENARIO_RECORD}"
+    raise LogError(problem, file=container.path, remedy=CONVERT)
 
 
 def _native(container: Container) -> Scenario:
@@ -85,11 +85,11 @@ def _native(container: Container) -> Scenario:
             remedy="expected a whole number",
         )
     if int(version) > native.FORMAT_VERSION:
-        what = (
+        problem = (
             f"format version {version} is newer than {native.FORMAT_VERSION}, the newest that "
             "this replan reads"
         )
-        raise LogError(what, topic=native.SCENARIO_RECORD, remedy="update replan")
+        raise LogError(problem, topic=native.SCENARIO_RECORD, remedy="update replan")
     if not len(streams.get("/ego", ())):
         raise LogError("the log has no ego states", topic="/ego", remedy="a log needs at least one")
     notes: list[str] = []
@@ -171,8 +171,8 @@ def _from_record(record: dict[str, str], key: str, kind: type[T], default: T) ->
     try:
         return msgspec.json.decode(record[key], type=kind)
     except (msgspec.MsgspecError, RecursionError) as error:
-        what = f"{key} is {record[key][:200]!r}: {error}".replace("`", "")
-        raise LogError(what, topic=native.SCENARIO_RECORD, remedy=MEND) from None
+        problem = f"{key} is {record[key][:200]!r}: {error}".replace("`", "")
+        raise LogError(problem, topic=native.SCENARIO_RECORD, remedy=MEND) from None
 
 
 def _one(streams: dict[str, Stream], topic: str, kind: type[T]) -> T | None:
@@ -180,9 +180,9 @@ def _one(streams: dict[str, Stream], topic: str, kind: type[T]) -> T | None:
     if topic not in streams or not len(streams[topic]):
         return None
     if len(streams[topic]) > 1:
-        what = f"{counted(len(streams[topic]), 'message')}, expected one"
+        problem = f"{counted(len(streams[topic]), 'message')}, expected one"
         raise LogError(
-            what, topic=topic, time_ns=streams[topic].times[1], remedy="keep one of them"
+            problem, topic=topic, time_ns=streams[topic].times[1], remedy="keep one of them"
         )
     return streams[topic].decoded(kind)[0]
 
@@ -200,9 +200,11 @@ def sampled(stream: Stream, kind: type[msgspec.Struct], start_ns: int) -> dict[s
     block = native.BLOCKS[kind]
     if stream.schema != native.schema_name(block):
         stream.check_order(strictly=True)
-        some, columns = stream.decoded(kind), {"t": seconds(stream.times, start_ns)}
+        messages, columns = stream.decoded(kind), {"t": seconds(stream.times, start_ns)}
         for name in kind.__struct_fields__:
-            columns[name] = np.array([getattr(message, name) for message in some], dtype=np.float64)
+            columns[name] = np.array(
+                [getattr(message, name) for message in messages], dtype=np.float64
+            )
         return columns
     blocks = stream.decoded(block)
     for time, message in zip(stream.times, blocks, strict=True):
@@ -216,7 +218,7 @@ def sampled(stream: Stream, kind: type[msgspec.Struct], start_ns: int) -> dict[s
     replace(stream, times=times).check_order(strictly=True)
     return {
         "t": seconds(times, start_ns),
-        **{name: np.array(some, np.float64) for name, some in joined.items()},
+        **{name: np.array(messages, np.float64) for name, messages in joined.items()},
     }
 
 
@@ -230,44 +232,46 @@ def marked_tracks(
     """Tracks from a table and columns of samples, and which of the samples are marked as
     extended.
     """
-    who = topics[0]
-    table = _one(streams, who, native.AgentTable)
+    table_topic = topics[0]
+    table = _one(streams, table_topic, native.AgentTable)
     moving = [
         streams[topic] for topic in dict.fromkeys(topics[:0:-1]) if len(streams.get(topic, ()))
     ]
     if table is None:
         if moving:
-            what, remedy = (
+            problem, remedy = (
                 "there are agents, but no table of them",
                 "name each with its kind, length and width",
             )
-            raise LogError(what, topic=who, remedy=remedy)
+            raise LogError(problem, topic=table_topic, remedy=remedy)
         return Tracks.empty(), np.empty(0, np.bool_)
-    _equal_lengths(table, who, streams[who].times[0])
+    _equal_lengths(table, table_topic, streams[table_topic].times[0])
     rows = {name: row for row, name in enumerate(table.id)}
-    row, times, columns = _samples(moving, rows, who)
+    row, times, columns = _samples(moving, rows, table_topic)
     order = np.lexsort((times, row))
     row, times = row[order], times[order]
     if len(rows) < len(table.id):
-        raise LogError("two agents have the same id", topic=who, remedy="ids are unique in a log")
+        raise LogError(
+            "two agents have the same id", topic=table_topic, remedy="ids are unique in a log"
+        )
     twice = np.flatnonzero((np.diff(row) == 0) & (np.diff(times) == 0))
     if len(twice):
-        what = f"agent '{table.id[row[twice[0]]]}' has two samples at one time"
+        problem = f"agent '{table.id[row[twice[0]]]}' has two samples at one time"
         raise LogError(
-            what, topic=topics[-1], time_ns=int(times[twice[0]]), remedy="keep one of them"
+            problem, topic=topics[-1], time_ns=int(times[twice[0]]), remedy="keep one of them"
         )
-    there = np.unique(row)
-    if len(there) < len(rows):
-        notes.append(f"{len(rows) - len(there)} of {len(rows)} {UNSEEN}")
-    offsets = np.r_[0, np.cumsum(np.bincount(row, minlength=len(rows))[there])]
+    with_samples = np.unique(row)
+    if len(with_samples) < len(rows):
+        notes.append(f"{len(rows) - len(with_samples)} of {len(rows)} {UNSEEN}")
+    offsets = np.r_[0, np.cumsum(np.bincount(row, minlength=len(rows))[with_samples])]
     *values, extended = (np.array(column, dtype=np.float64)[order] for column in columns)
-    with reading(topic=who, remedy=MEND):
+    with reading(topic=table_topic, remedy=MEND):
         tracks = Tracks(
-            tuple(table.id[i] for i in there),
-            tuple(table.kind[i] for i in there),
-            np.array(table.length)[there],
-            np.array(table.width)[there],
-            np.array(table.static, dtype=np.bool_)[there],
+            tuple(table.id[i] for i in with_samples),
+            tuple(table.kind[i] for i in with_samples),
+            np.array(table.length)[with_samples],
+            np.array(table.width)[with_samples],
+            np.array(table.static, dtype=np.bool_)[with_samples],
             offsets,
             (times - start_ns) / 1e9,
             *values,
@@ -292,9 +296,9 @@ def _samples(
             try:
                 row.extend([rows[name] for name in message.id])
             except KeyError as error:
-                what = f"agent {error} is not in {who}"
+                problem = f"agent {error} is not in {who}"
                 raise LogError(
-                    what, topic=stream.topic, time_ns=time, remedy="add it there"
+                    problem, topic=stream.topic, time_ns=time, remedy="add it there"
                 ) from None
             times.extend([time] * len(message.id))
             for column, name in zip(columns, ("x", "y", "yaw", "vx", "vy"), strict=False):
@@ -309,32 +313,32 @@ def _detections(
     """Detections that are not yet tracks, or the report of the tracks made of them; None if the log
     has neither.
     """
-    stream, found = streams.get("/detections"), None
+    stream, detections = streams.get("/detections"), None
     if stream is not None:
         stream.check_order(strictly=True)
         messages = stream.decoded(native.DetectionColumns)
-        for time, each in zip(stream.times, messages, strict=True):
-            _equal_lengths(each, stream.topic, time)
+        for time, message in zip(stream.times, messages, strict=True):
+            _equal_lengths(message, stream.topic, time)
         frames = seconds(stream.times, start_ns)
         joined = _join_columns(messages, native.DetectionColumns)
         ids, kinds = joined.pop("id"), joined.pop("kind")
-        t = np.repeat(frames, [len(each.id) for each in messages])
-        columns = {name: np.array(some, np.float64) for name, some in joined.items()}
+        t = np.repeat(frames, [len(message.id) for message in messages])
+        columns = {name: np.array(values, np.float64) for name, values in joined.items()}
         with reading(topic=stream.topic, remedy=MEND):
-            found = Detections(
+            detections = Detections(
                 t=t, frames=frames, ids=tuple(ids), codes=codes_of(tuple(kinds)), **columns
             )
-    message = _one(streams, "/repair", native.Repair)
-    if message is None:
-        return found, None
-    if found is None:
-        what = "the tracks are marked as repaired, but there are no detections"
-        raise LogError(what, topic="/repair", remedy="keep /detections, or leave /repair out")
-    _equal_lengths(message, "/repair", streams["/repair"].times[0])
-    *rows, sources = msgspec.structs.astuple(message)
+    report = _one(streams, "/repair", native.Repair)
+    if report is None:
+        return detections, None
+    if detections is None:
+        problem = "the tracks are marked as repaired, but there are no detections"
+        raise LogError(problem, topic="/repair", remedy="keep /detections, or leave /repair out")
+    _equal_lengths(report, "/repair", streams["/repair"].times[0])
+    *rows, sources = msgspec.structs.astuple(report)
     changes = tuple(TrackChange(*row) for row in zip(*rows, map(tuple, sources), strict=True))
     return None, Repair(
-        found, marked_tracks(streams, start_ns, [], REMOVED)[0], extended, changes, tracks
+        detections, marked_tracks(streams, start_ns, [], REMOVED)[0], extended, changes, tracks
     )
 
 
@@ -342,7 +346,7 @@ def _join_columns(
     messages: Sequence[msgspec.Struct], kind: type[msgspec.Struct]
 ) -> dict[str, list[Any]]:
     return {
-        name: list(chain.from_iterable(getattr(each, name) for each in messages))
+        name: list(chain.from_iterable(getattr(message, name) for message in messages))
         for name in kind.__struct_fields__
     }
 
@@ -355,10 +359,12 @@ def _equal_lengths(message: msgspec.Struct, topic: str, time: int) -> None:
             for n, c in msgspec.structs.asdict(message).items()
             if c is not None
         }
-        what = "columns differ in length: " + ", ".join(
+        problem = "columns differ in length: " + ", ".join(
             f"{name} {count}" for name, count in columns.items()
         )
-        raise LogError(what, topic=topic, time_ns=time, remedy="an entry for each in every column")
+        raise LogError(
+            problem, topic=topic, time_ns=time, remedy="an entry for each in every column"
+        )
 
 
 def _road(message: native.Road | None, ego: Trajectory, notes: list[str]) -> nouns.Road:
@@ -384,8 +390,8 @@ def _lights(stream: Stream | None, start_ns: int) -> tuple[TrafficLight, ...]:
         _equal_lengths(message, stream.topic, time)
         for light, colour in zip(message.id, message.colour, strict=True):
             if time in shown.setdefault(light, {}):
-                what = f"light {light} has two colours at one time"
-                raise LogError(what, topic=stream.topic, time_ns=time, remedy="keep one of them")
+                problem = f"light {light} has two colours at one time"
+                raise LogError(problem, topic=stream.topic, time_ns=time, remedy="keep one of them")
             shown[light][time] = colour
     return tuple(
         TrafficLight(i, seconds(list(c), start_ns), tuple(c.values()))
@@ -398,20 +404,22 @@ def _onboard(stream: Stream | None, start_ns: int) -> tuple[OnboardPlan, ...]:
         return ()
     stream.check_order(strictly=True)
     known = seconds(stream.times, start_ns).tolist()
-    out = []
-    for at, time, message in zip(
+    plans = []
+    for known_at, time, message in zip(
         known, stream.times, stream.decoded(native.OnboardPlan), strict=True
     ):
         _equal_lengths(message.trajectory, stream.topic, time)
         with reading(topic=stream.topic, time_ns=time, remedy=MEND):
-            out.append(noun_of(OnboardPlan, message, known=at))
-    return tuple(out)
+            plans.append(noun_of(OnboardPlan, message, known=known_at))
+    return tuple(plans)
 
 
 def _goal(message: native.Goal | None) -> nouns.Goal | None:
     if message is None:
         return None
-    for region in chain(message.regions, *(one.regions for one in message.alternatives)):
+    for region in chain(
+        message.regions, *(alternative.regions for alternative in message.alternatives)
+    ):
         if len(region.x) != len(region.y) or len(region.x) < 3:
             raise LogError(
                 "a region needs as many x_m as y_m, three or more", topic="/goal", remedy=MEND

@@ -116,7 +116,9 @@ class Salvage:
 
     def lines(self) -> list[str]:
         """The report, one line each."""
-        kept = f"kept {counted(self.messages, 'message')} in {counted(self.chunks, 'intact chunk')}"
+        summary = (
+            f"kept {counted(self.messages, 'message')} in {counted(self.chunks, 'intact chunk')}"
+        )
         nameless = (
             [f"left out {counted(self.nameless, 'message')} whose channel was lost"]
             if self.nameless
@@ -128,8 +130,8 @@ class Salvage:
         )
         unchecked = [unsure] if self.unchecked else []
         if not self.lost:
-            return [f"{kept}; nothing was lost", *unchecked]
-        return [kept, *map(str, self.lost), *nameless, *unchecked]
+            return [f"{summary}; nothing was lost", *unchecked]
+        return [summary, *map(str, self.lost), *nameless, *unchecked]
 
 
 def is_salvaged(path: Path) -> bool:
@@ -198,7 +200,8 @@ def pieces(raw: bytes | mmap) -> Iterator[Intact | Lost]:
     """Yield what is intact in a file up to its end of data, which is the last piece, and what is
     lost between.
     """
-    place, last, broken, damaged = BEGIN, None, None, False
+    place, damaged = BEGIN, False
+    last, broken = None, None
     while place < len(raw):
         records = _record_at(raw, place, in_step=broken is None, undamaged=not damaged)
         if records is None:
@@ -274,10 +277,10 @@ class Catalogue:
             schemas, channels = {0: 0}, {}
             for old, schema in sorted(self.schemas.items()):
                 schemas[old] = writer.register_schema(schema.name, schema.encoding, schema.data)
-            for old, each in sorted(self.channels.items()):
-                schema_id = schemas.get(each.schema_id, 0)
+            for old, channel in sorted(self.channels.items()):
+                schema_id = schemas.get(channel.schema_id, 0)
                 channels[old] = writer.register_channel(
-                    each.topic, each.message_encoding, schema_id, each.metadata
+                    channel.topic, channel.message_encoding, schema_id, channel.metadata
                 )
             for message in messages:
                 sent = message.log_time, message.data, message.publish_time
@@ -302,15 +305,15 @@ def _record_at(
     try:
         if code == Opcode.CHUNK:
             chunk = Chunk.read(body)
-            found = opened(chunk)
+            records = opened(chunk)
             begin, end = chunk.message_start_time, chunk.message_end_time
             if any(
                 not begin <= record.log_time <= end
-                for record in found
+                for record in records
                 if isinstance(record, Message)
             ):
                 return None  # the stated times are not those of its messages
-            return size, found
+            return size, records
         if not in_step or (code == Opcode.MESSAGE and not undamaged):
             return None
         if code in _PASSED:
@@ -323,7 +326,7 @@ def _record_at(
 def messages_at(raw: bytes | mmap, begin: int) -> list[Message]:
     """Return the messages of the intact record at a byte."""
     held = _record_at(raw, begin, in_step=True, undamaged=True)
-    return [] if held is None else [each for each in held[1] if isinstance(each, Message)]
+    return [] if held is None else [message for message in held[1] if isinstance(message, Message)]
 
 
 _KNOWN: dict[int, Any] = {
@@ -339,17 +342,21 @@ _PASSED = frozenset(Opcode) - frozenset(_KNOWN) - {Opcode.CHUNK}
 """Records that are skipped: indexes, attachments, the summary, the footer."""
 
 
-def _next_chunk(raw: bytes | mmap, at: int) -> int:
+def _next_chunk(raw: bytes | mmap, position: int) -> int:
     """The next byte at which an intact chunk begins; the file's length if there is none."""
     names = {name.encode() for name in COMPRESSIONS}
-    at = raw.find(bytes([Opcode.CHUNK]), at)
-    while 0 <= at <= len(raw) - HEAD - 32:
+    position = raw.find(bytes([Opcode.CHUNK]), position)
+    while 0 <= position <= len(raw) - HEAD - 32:
         # Of its compression's name, which is cheap to check before the chunk is opened
-        place = at + HEAD + 32
+        place = position + HEAD + 32
         (size,) = struct.unpack_from("<I", raw, place - 4)
-        if size <= 4 and raw[place : place + size] in names and _record_at(raw, at) is not None:
-            return at
-        at = raw.find(bytes([Opcode.CHUNK]), at + 1)
+        if (
+            size <= 4
+            and raw[place : place + size] in names
+            and _record_at(raw, position) is not None
+        ):
+            return position
+        position = raw.find(bytes([Opcode.CHUNK]), position + 1)
     return len(raw)
 
 
@@ -361,21 +368,21 @@ def write_part(ranged: Ranged, size: int, begin: float, end: float, path: Path) 
     the reader derives from the whole log (a road along the drive, speeds; the reader notes that).
     """
     try:
-        at = max(0, size - TAIL_BYTES)
-        tail = ranged(at, size)
+        tail_begin = max(0, size - TAIL_BYTES)
+        tail = ranged(tail_begin, size)
         footer = next(iter(_records(tail[-FOOTER_BYTES:])))
         if not isinstance(footer, Footer) or not footer.summary_start:
             return False
-        if footer.summary_start < at:
-            tail, at = ranged(footer.summary_start, at) + tail, footer.summary_start
-        summary = list(_records(tail[footer.summary_start - at :]))
+        if footer.summary_start < tail_begin:
+            tail, tail_begin = ranged(footer.summary_start, tail_begin) + tail, footer.summary_start
+        summary = list(_records(tail[footer.summary_start - tail_begin :]))
         index = next(
-            each
-            for each in _records_of_kind(summary, MetadataIndex)
-            if each.name == native.SCENARIO_RECORD
+            index
+            for index in _records_of_kind(summary, MetadataIndex)
+            if index.name == native.SCENARIO_RECORD
         )
-        found = next(iter(_records(ranged(index.offset, index.offset + index.length))))
-        record = found.metadata if isinstance(found, Metadata) else {}
+        first_record = next(iter(_records(ranged(index.offset, index.offset + index.length))))
+        record = first_record.metadata if isinstance(first_record, Metadata) else {}
         if "start_ns" not in record:
             return False
         start_ns = msgspec.json.decode(record["start_ns"], type=int)
@@ -416,16 +423,16 @@ def _chosen(summary: Sequence[McapRecord], first_ns: float, last_ns: float) -> l
         for channel in _records_of_kind(summary, Channel)
         if channel.topic not in PERIODIC
     }
-    kept = set(range(len(chunks[:1])))  # (4)
+    chosen = set(range(len(chunks[:1])))  # (4)
     for k, chunk in enumerate(chunks):
         if chunk.message_start_time <= last_ns and first_ns <= chunk.message_end_time:
-            kept.add(k)  # (1)
+            chosen.add(k)  # (1)
     for channel in {number for chunk in chunks for number in chunk.message_index_offsets}:
         having = [k for k, chunk in enumerate(chunks) if channel in chunk.message_index_offsets]
-        kept |= set([k for k in having if chunks[k].message_end_time < first_ns][-1:])  # (2)
-        kept |= set([k for k in having if chunks[k].message_start_time > last_ns][:1])
-        kept |= set(having) if channel in rare else set()  # (3)
-    return [chunks[k] for k in sorted(kept)]
+        chosen |= set([k for k in having if chunks[k].message_end_time < first_ns][-1:])  # (2)
+        chosen |= set([k for k in having if chunks[k].message_start_time > last_ns][:1])
+        chosen |= set(having) if channel in rare else set()  # (3)
+    return [chunks[k] for k in sorted(chosen)]
 
 
 def _pieces(

@@ -117,13 +117,13 @@ def _trace_entries(trace: Trace, start_ns: int, internals: Internals) -> Iterato
             futures = frame.predictions
             ids = [frame.agents[i] for i in futures.agent]
             probability = column(futures.probability, "/predictions", "probability")
-            kept = slice(None) if internals == "full" else kept_samples(futures.t, SUMMARY_STEP_S)
+            within = slice(None) if internals == "full" else kept_samples(futures.t, SUMMARY_STEP_S)
             x, y = (
-                [column(row[kept], "/predictions", name) for row in getattr(futures, name)]
+                [column(row[within], "/predictions", name) for row in getattr(futures, name)]
                 for name in ("x", "y")
             )
             message = native.Predictions(
-                futures.method, futures.t[kept].tolist(), ids, probability, x, y
+                futures.method, futures.t[within].tolist(), ids, probability, x, y
             )
             yield time, "/predictions", message
     if trace.perceived is not None:
@@ -134,14 +134,14 @@ def _trace_entries(trace: Trace, start_ns: int, internals: Internals) -> Iterato
         order = np.lexsort((shown.owner, at_ns))
         ordered = at_ns[order]
         for time in times:  # an empty message where no agent was seen
-            at = order[
+            rows = order[
                 np.searchsorted(ordered, time) : np.searchsorted(ordered, time, side="right")
             ]
-            columns = (getattr(shown, name)[at].tolist() for name in COLUMNS)
+            columns = (getattr(shown, name)[rows].tolist() for name in COLUMNS)
             yield (
                 time,
                 "/perceived",
-                native.AgentColumns([shown.ids[i] for i in shown.owner[at]], *columns),
+                native.AgentColumns([shown.ids[i] for i in shown.owner[rows]], *columns),
             )
     for topic, kind, table in (
         ("/command", native.Controls, trace.commands),
@@ -160,9 +160,9 @@ def _who(tracks: Tracks) -> dict[str, tuple[object, ...]]:
 def plan_message(plan: nouns.Plan, internals: Internals) -> native.Plan:
     """The message of a plan, with the part of its internals that `internals` selects."""
     planned = plan.trajectory
-    kept = kept_samples(planned.t) if internals == "none" else slice(None)
+    shown = kept_samples(planned.t) if internals == "none" else slice(None)
     columns = native.TrajectoryColumns(
-        *(getattr(planned, name)[kept].tolist() for name in TRAJECTORY_COLUMNS)
+        *(getattr(planned, name)[shown].tolist() for name in TRAJECTORY_COLUMNS)
     )
     inside = {} if internals == "none" else inside_of(plan.internals, full=internals == "full")
     return message_of(native.Plan, plan, trajectory=columns, **inside)
@@ -185,20 +185,20 @@ def inside_of(internals: Iterable[nouns.Artefact], *, full: bool = True) -> dict
 
     Graphs without grids unless `full`.
     """
-    found: dict[str, Any] = {}
+    artefacts: dict[str, Any] = {}
     for artefact in internals:
         name, kind = _PLACE[type(artefact)]
-        given = {} if full or name != "graphs" else {"grid": None}
-        found.setdefault(name, []).append(message_of(kind, artefact, **given))
-    return found
+        left_out = {} if full or name != "graphs" else {"grid": None}
+        artefacts.setdefault(name, []).append(message_of(kind, artefact, **left_out))
+    return artefacts
 
 
 def artefacts_of(message: msgspec.Struct) -> Iterator[nouns.Artefact]:
     """The artefacts in the lists of a message, which may have only some of the lists."""
     for name, (_, kinds) in _INSIDE.items():
-        for each in getattr(message, name, ()):
-            kind: Any = kinds[name == "graphs" and each.plane == "st"]
-            yield noun_of(kind, each)
+        for artefact in getattr(message, name, ()):
+            kind: Any = kinds[name == "graphs" and artefact.plane == "st"]
+            yield noun_of(kind, artefact)
 
 
 def read_trace(path: Path) -> tuple[Trace, Scenario]:
@@ -229,24 +229,33 @@ def read_moment(path: Path, t: float) -> tuple[Trace, Scenario, tuple[nouns.Plan
         plans, summaries = streams.get("/plan", _none("/plan")), list[nouns.PlanSummary]()
         plans.check_order(strictly=True)
         times = seconds(plans.times, start).tolist()
-        for time, at, message in zip(
+        for time, known_at, message in zip(
             plans.times, times, plans.decoded(native.PlanHead), strict=True
         ):
             with reading((KeyError,), topic="/plan", time_ns=time, remedy=MEND):
                 summaries.append(
                     noun_of(
-                        nouns.PlanSummary, message, t=at, internals=tuple(artefacts_of(message))
+                        nouns.PlanSummary,
+                        message,
+                        t=known_at,
+                        internals=tuple(artefacts_of(message)),
                     )
                 )
-        newest = int(np.searchsorted([one.t for one in summaries], t + 1e-9, side="right")) - 1
-        some = {}
+        newest = (
+            int(np.searchsorted([summary.t for summary in summaries], t + 1e-9, side="right")) - 1
+        )
+        newest_streams = {}
         for topic in ("/plan", "/predictions") if newest >= 0 else ():
             stream, time = streams.get(topic, _none(topic)), plans.times[newest]
-            kept = [i for i, each in enumerate(stream.times) if each == time]
-            some[topic] = replace(
-                stream, times=[time] * len(kept), payloads=[stream.payloads[i] for i in kept]
+            entries = [i for i, stamp in enumerate(stream.times) if stamp == time]
+            newest_streams[topic] = replace(
+                stream, times=[time] * len(entries), payloads=[stream.payloads[i] for i in entries]
             )
-        return _trace(container, scenario, _frames(some, start)), scenario, tuple(summaries)
+        return (
+            _trace(container, scenario, _frames(newest_streams, start)),
+            scenario,
+            tuple(summaries),
+        )
 
 
 def _trace(container: Container, scenario: Scenario, frames: Iterator[PlannedFrame]) -> Trace:
@@ -261,12 +270,14 @@ def _trace(container: Container, scenario: Scenario, frames: Iterator[PlannedFra
         mode, end = Mode(record["mode"]), EndReason[record["end"].upper()]
     except (KeyError, ValueError) as error:
         raise LogError(f"bad or missing {error}", topic=native.TRACE_RECORD, remedy=MEND) from None
-    asked, done = (
+    asked, actuation = (
         Controls(**sampled(streams[name], native.Controls, start)) if name in streams else None
         for name in ("/command", "/actuation")
     )
     tracking = (
-        TrackingErrors(**sampled(streams["/tracking"], native.Tracking, start)) if done else None
+        TrackingErrors(**sampled(streams["/tracking"], native.Tracking, start))
+        if actuation
+        else None
     )
     perceived = Tracks.empty() if "/perceived" in streams else None
     table = streams.get("/perceived/table", streams.get("/agents/table"))
@@ -285,7 +296,7 @@ def _trace(container: Container, scenario: Scenario, frames: Iterator[PlannedFra
         end=end,
         detail=record.get("detail", ""),
         commands=asked,
-        actuation=done,
+        actuation=actuation,
         tracking=tracking,
         notes=scenario.notes,
         perceived=perceived,
@@ -314,7 +325,10 @@ def _frames(streams: dict[str, Stream], start_ns: int) -> Iterator[PlannedFrame]
                 row = {name: i for i, name in enumerate(agents)}
                 rows = np.array([row[name] for name in shown.id], dtype=np.int64)
                 shape = (len(rows), len(shown.t))
-                x, y = (np.array(some, np.float64).reshape(shape) for some in (shown.x, shown.y))
+                x, y = (
+                    np.array(coordinates, np.float64).reshape(shape)
+                    for coordinates in (shown.x, shown.y)
+                )
                 futures = noun_of(
                     Predictions, shown, agent=rows, x=x, y=y, yaw=np.full(shape, np.nan)
                 )

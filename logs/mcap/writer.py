@@ -135,16 +135,16 @@ def descriptor_set(file: Any) -> bytes:
     """
     files: dict[str, Any] = {}
 
-    def collect(each: Any) -> None:
-        if each.name not in files:
-            for other in each.dependencies:
+    def collect(descriptor: Any) -> None:
+        if descriptor.name not in files:
+            for other in descriptor.dependencies:
                 collect(other)
-            files[each.name] = each
+            files[descriptor.name] = descriptor
 
     collect(file)
     described = FileDescriptorSet()
-    for each in files.values():
-        each.CopyToProto(described.file.add())
+    for descriptor in files.values():
+        descriptor.CopyToProto(described.file.add())
     return described.SerializeToString(deterministic=True)
 
 
@@ -182,10 +182,10 @@ def scenario_entries(scenario: Scenario, *, blocks: bool = False) -> Iterator[En
     }
     yield start, "/vehicle", native.Vehicle(**vehicle)
     if scenario.goal is not None:
-        for one in (scenario.goal, *scenario.goal.alternatives):
+        for goal in (scenario.goal, *scenario.goal.alternatives):
             for name in ("t", "v", "yaw"):
-                _finite_all(getattr(one, name) or (), f"goal {name}")
-            for region in one.regions:
+                _finite_all(getattr(goal, name) or (), f"goal {name}")
+            for region in goal.regions:
                 check_not_infinite(region[:, 0], "/goal", "x")
                 check_not_infinite(region[:, 1], "/goal", "y")
         yield start, "/goal", message_of(native.Goal, scenario.goal)
@@ -201,32 +201,33 @@ def scenario_entries(scenario: Scenario, *, blocks: bool = False) -> Iterator[En
     # For each time a message with the lights that change then
     shown: dict[int, tuple[list[int], list[Colour]]] = {}
     for light in scenario.lights:
-        at = log_times(light.t, start, "/traffic_lights")
-        if any(time <= before for before, time in pairwise(at)):
+        times = log_times(light.t, start, "/traffic_lights")
+        if any(time <= before for before, time in pairwise(times)):
             raise LogError(
                 f"light {light.id} changes twice on one nanosecond", topic="/traffic_lights"
             )
-        for time, colour in zip(at, light.colours, strict=True):
+        for time, colour in zip(times, light.colours, strict=True):
             ids, colours = shown.setdefault(time, ([], []))
             ids.append(light.id)
             colours.append(colour)
     for time, columns in shown.items():
         yield time, "/traffic_lights", native.LightColumns(*columns)
-    made = (
+    repair = (
         None
         if scenario.repair is None or scenario.repair.tracks is not scenario.tracks
         else scenario.repair
     )
-    yield from _tracks(scenario.tracks, start, extended=None if made is None else made.extended)
-    if made is not None:
+    yield from _tracks(scenario.tracks, start, extended=None if repair is None else repair.extended)
+    if repair is not None:
         changes = (
-            list(column) for column in zip(*(astuple(each) for each in made.changes), strict=True)
+            list(column)
+            for column in zip(*(astuple(change) for change in repair.changes), strict=True)
         )
         yield start, "/repair", native.Repair(*changes)
-        yield from _tracks(made.removed, start, ("/removed/table", "/removed", "/removed"))
-    found = scenario.detections if made is None else made.detections
-    if found is not None:
-        yield from _detections(found, start)
+        yield from _tracks(repair.removed, start, ("/removed/table", "/removed", "/removed"))
+    detections = scenario.detections if repair is None else repair.detections
+    if detections is not None:
+        yield from _detections(detections, start)
     yield from samples(scenario.ego, native.Ego, "/ego", start, blocks=blocks)
     if scenario.controls is not None:
         yield from samples(scenario.controls, native.Controls, "/controls", start, blocks=blocks)
@@ -261,8 +262,8 @@ def check_not_infinite(values: FloatArray, topic: str, name: str) -> None:
 def column(values: FloatArray, topic: str, name: str) -> list[float]:
     """The values as a list; LogError as in `check_not_infinite`."""
     check_not_infinite(values, topic, name)
-    out: list[float] = values.tolist()
-    return out
+    numbers: list[float] = values.tolist()
+    return numbers
 
 
 def check_finite(value: float, name: str) -> float:

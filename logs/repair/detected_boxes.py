@@ -114,29 +114,38 @@ class Boxes(Columns):
         return cls(order, frame, t, x, y, yaw, length, width, score, codes, group, noise)
 
 
+YAW, LENGTH, WIDTH = 2, 3, 4
+"""Columns of a box (x, y, yaw, length, width)."""
+
+
 @kernel
 def shared_area(one: FloatArray, two: FloatArray) -> float:
     """Return the common area of two boxes `(5,)`, m2, by clipping one with the other (Sutherland,
     Hodgman, 1974).
     """
     dx, dy = two[0] - one[0], two[1] - one[1]
-    if hypot(dx, dy) >= 0.5 * (hypot(one[3], one[4]) + hypot(two[3], two[4])):
+    reaches = hypot(one[LENGTH], one[WIDTH]) + hypot(two[LENGTH], two[WIDTH])
+    if hypot(dx, dy) >= 0.5 * reaches:
         return 0.0
-    c, s = cos(one[2]), sin(one[2])
+    c, s = cos(one[YAW]), sin(one[YAW])
     inner, cut, n = np.empty((9, 2)), np.empty((9, 2)), 4
-    inner[:4] = corners(c * dx + s * dy, c * dy - s * dx, two[2] - one[2], two[3], two[4])
+    inner[:4] = corners(
+        c * dx + s * dy, c * dy - s * dx, two[YAW] - one[YAW], two[LENGTH], two[WIDTH]
+    )
     for side in range(4):
-        axis, sign, kept = side % 2, 1.0 if side < 2 else -1.0, 0
-        reach = 0.5 * one[3 + axis]
+        axis, sign, count = side % 2, 1.0 if side < 2 else -1.0, 0
+        reach = 0.5 * one[LENGTH + axis]
         for k in range(n):
-            here, there = reach - sign * inner[k, axis], reach - sign * inner[(k + 1) % n, axis]
-            if here >= 0.0:
-                cut[kept] = inner[k]
-                kept += 1
-            if here * there < 0.0:
-                cut[kept] = inner[k] + here / (here - there) * (inner[(k + 1) % n] - inner[k])
-                kept += 1
-        inner, cut, n = cut, inner, kept
+            after = (k + 1) % n
+            depth = reach - sign * inner[k, axis]
+            next_depth = reach - sign * inner[after, axis]
+            if depth >= 0.0:
+                cut[count] = inner[k]
+                count += 1
+            if depth * next_depth < 0.0:
+                cut[count] = inner[k] + depth / (depth - next_depth) * (inner[after] - inner[k])
+                count += 1
+        inner, cut, n = cut, inner, count
     area = 0.0
     for k in range(n):
         following = (k + 1) % n
@@ -151,14 +160,15 @@ def shares(
     """Return at which t `(k,)` the boxes in `boxes` `(k, 5)` and `others` share more than `part` of
     the smaller.
     """
-    out, j = np.zeros(len(t), np.bool_), 0
+    covered, j = np.zeros(len(t), np.bool_), 0
     for i in range(len(t)):
         while j < len(times) and times[j] < t[i]:
             j += 1
         if j < len(times) and times[j] == t[i]:
             a, b = boxes[i], others[j]
-            out[i] = shared_area(a, b) > part * min(a[3] * a[4], b[3] * b[4])
-    return out
+            smaller = min(a[LENGTH] * a[WIDTH], b[LENGTH] * b[WIDTH])
+            covered[i] = shared_area(a, b) > part * smaller
+    return covered
 
 
 def stronger_twins(boxes: Boxes) -> IntArray:
@@ -179,25 +189,25 @@ def _stronger(order: IntArray, frame: IntArray, pose: FloatArray, group: IntArra
     """Compute `stronger_twins` of boxes `pose` `(m, 5)` in `frame` `(m,)`; `order`: by frame,
     strongest first.
     """
-    out = np.full(len(pose), -1)
+    by = np.full(len(pose), -1)
     for i in range(len(order)):
         a = order[i]
         for j in range(i + 1, len(order)):
             b = order[j]
-            if out[a] >= 0 or frame[b] != frame[a]:
+            if by[a] >= 0 or frame[b] != frame[a]:
                 break
-            if out[b] >= 0:
+            if by[b] >= 0:
                 continue
-            both, one, two = (
+            both, area, other_area = (
                 shared_area(pose[a], pose[b]),
                 pose[a, 3] * pose[a, 4],
                 pose[b, 3] * pose[b, 4],
             )
-            share, part = both / (one + two - both), both / min(one, two)
+            share, part = both / (area + other_area - both), both / min(area, other_area)
             apart = group[a] != group[b] and group[a] + group[b] == PERSON
             close = group[a] == PERSON and group[b] == PERSON
             if part > (OTHER_PART if apart else TWIN_PART) or (
                 share > TWIN_SHARE and not (apart or close)
             ):
-                out[b] = a
-    return out
+                by[b] = a
+    return by

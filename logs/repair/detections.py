@@ -160,9 +160,9 @@ class Repair:
             tracks[change.what] += 1
             samples[change.what] += change.samples
         return tuple(
-            f"Repair {what} {samples[what]} {unit} {of} {tracks[what]} tracks."
-            for what, (unit, of) in _SENTENCES.items()
-            if tracks[what]
+            f"Repair {change} {samples[change]} {unit} {of} {tracks[change]} tracks."
+            for change, (unit, of) in _SENTENCES.items()
+            if tracks[change]
         )
 
 
@@ -279,5 +279,7 @@ def named_as_tracked(made: Repair) -> Repair:
             number += 1
             names[name] = f"{UNTRACKED} {number}"
     tracks = replace(made.tracks, ids=tuple(names[name] for name in made.tracks.ids))
-    changes = tuple(replace(each, agent=names.get(each.agent, each.agent)) for each in made.changes)
+    changes = tuple(
+        replace(change, agent=names.get(change.agent, change.agent)) for change in made.changes
+    )
     return replace(made, tracks=tracks, changes=changes)

@@ -71,7 +71,8 @@ ROOM_M, PASSING_S = 0.2, 0.02
 
 It is looked at every `PASSING_S`, s.
 """
-RANGE_M, RANGE_SIDE_M, EXTEND_S, EXTEND_STILL_MPS = 42.0, 20.0, 10.0, 0.2
+RANGE_M, RANGE_SIDE_M = 42.0, 20.0
+EXTEND_S, EXTEND_STILL_MPS = 10.0, 0.2
 """Sight ends about 50 m ahead and 25 m to the side. A user who stands at the first (last) sight
 beyond `RANGE_M` ahead or `RANGE_SIDE_M` aside is assumed to stand there before (after), for
 `EXTEND_S` at most."""
@@ -83,14 +84,14 @@ def detections_of(tracks: Tracks) -> Detections:
     """
     order = np.lexsort((tracks.owner, tracks.t))
     columns = {name: getattr(tracks, name)[order] for name in SAMPLE_COLUMNS}
-    who = tracks.owner[order]
+    owners = tracks.owner[order]
     return Detections(
         frames=np.unique(tracks.t),
-        ids=tuple(tracks.ids[i] for i in who),
-        codes=codes_of(tracks.kinds)[who],
-        length=tracks.length[who],
-        width=tracks.width[who],
-        score=np.full(len(who), np.nan),
+        ids=tuple(tracks.ids[i] for i in owners),
+        codes=codes_of(tracks.kinds)[owners],
+        length=tracks.length[owners],
+        width=tracks.width[owners],
+        score=np.full(len(owners), np.nan),
         **columns,
     )
 
@@ -108,7 +109,7 @@ def repair(
     twin_of = stronger_twins(every)
     boxes = every.taken(np.flatnonzero(twin_of < 0))
     names = np.concatenate(
-        [np.empty(0, np.int64), *(found for _, _, found in Association().steps(boxes, frames))]
+        [np.empty(0, np.int64), *(names for _, _, names in Association().steps(boxes, frames))]
     )
     order = np.argsort(names, kind="stable")
     parts = np.split(order, np.flatnonzero(np.diff(names[order])) + 1) if len(names) else []
@@ -119,11 +120,11 @@ def repair(
     )
     stay, notes = [], []
     for user in sorted(users, key=_birth):
-        kept, note = _beside_ego(user, ego, vehicle)
-        if kept is None:
+        remaining, note = _beside_ego(user, ego, vehicle)
+        if remaining is None:
             removed.append((user, note))
         else:
-            stay.append(kept)
+            stay.append(remaining)
             notes.append(note)
     removed.sort(key=lambda each: _birth(each[0]))
     users = [_extend_standing(user, stay, frames, ego, vehicle) for user in stay]
@@ -201,13 +202,14 @@ def _road_users(
         b = better[a]
         while b in better:
             b = better[b]
-        one, two = users[a].piece, users[b].piece
-        t = boxes.t[one.rows]
-        outside = ((t < two.t[0]) | (t > two.t[-1])) & (one.group == two.group)
-        gained.setdefault(b, []).append(one.rows[outside])
+        lesser_piece, better_piece = users[a].piece, users[b].piece
+        t = boxes.t[lesser_piece.rows]
+        same_group = lesser_piece.group == better_piece.group
+        outside = ((t < better_piece.t[0]) | (t > better_piece.t[-1])) & same_group
+        gained.setdefault(b, []).append(lesser_piece.rows[outside])
         if not outside.all():
             inside = (
-                user_of(fitted(one.rows[~outside], boxes, frames), boxes, ego)
+                user_of(fitted(lesser_piece.rows[~outside], boxes, frames), boxes, ego)
                 if outside.any()
                 else users[a]
             )
@@ -225,10 +227,10 @@ def _changes(
     user: User, name: str, note: str, twins: int, sources: tuple[str, ...]
 ) -> list[TrackChange]:
     t, count = user.piece.t, len(user.piece.rows)
-    out = []
+    changes = []
 
     def add(what: str, samples: int, why: str, times: FloatArray = t) -> None:
-        out.append(
+        changes.append(
             TrackChange(what, name, float(times[0]), float(times[-1]), samples, why, sources)
         )
 
@@ -253,7 +255,7 @@ def _changes(
         if len(times):
             why = f"Stood at the edge of sight: it is assumed there {np.ptp(times):.1f} s {side}."
             add("extended", len(times), why, times)
-    return out
+    return changes
 
 
 def _tracks(users: Sequence[User], ids: Sequence[str]) -> Tracks:
@@ -320,10 +322,10 @@ def _depths(
     near = (
         (t >= ego.t[0]) & (t <= ego.t[-1]) & (np.hypot(x - boxes[:, 0], y - boxes[:, 1]) <= reach)
     )
-    out = np.zeros(len(t))
+    depths = np.zeros(len(t))
     for i in np.flatnonzero(near).tolist():
-        out[i] = max(0.0, -clearance(x[i], y[i], yaw[i], long, wide, *boxes[i]))
-    return out
+        depths[i] = max(0.0, -clearance(x[i], y[i], yaw[i], long, wide, *boxes[i]))
+    return depths
 
 
 def _beside_ego(user: User, ego: Trajectory, vehicle: VehicleParameters) -> tuple[User | None, str]:
@@ -379,8 +381,8 @@ def _extend_standing(
     """
     if user.piece.group == PERSON or user.piece.t[-1] - user.piece.t[0] < 0.5:
         return user
-    for at, side in ((0, -1), (-1, 1)):
-        end, near = user.way[:, at], np.abs(user.t - user.t[at]) <= 1.0
+    for end_row, side in ((0, -1), (-1, 1)):
+        end, near = user.way[:, end_row], np.abs(user.t - user.t[end_row]) <= 1.0
         x, y, yaw = (float(np.interp(end[0], ego.t, column)) for column in (ego.x, ego.y, ego.yaw))
         dx, dy = end[1] - x, end[2] - y
         ahead, aside = (
@@ -392,14 +394,15 @@ def _extend_standing(
         moves = np.hypot(*user.way[4:, near]).max() > EXTEND_STILL_MPS
         if moves or not len(times) or (ahead < RANGE_M and aside < RANGE_SIDE_M):
             continue
-        boxes = np.repeat(user.poses[[at]], len(times), axis=0)
+        boxes = np.repeat(user.poses[[end_row]], len(times), axis=0)
         taken = _depths(times, boxes, ego, vehicle) > 0.0
         for other in users:
             if other.piece is not user.piece:
                 taken |= shares(times, boxes, other.t, other.poses, 0.0)
         times = times[~np.logical_or.accumulate(taken[::side])[::side]]
-        more = np.outer([0.0, *end[1:4], 0.0, 0.0], np.ones(len(times)))
+        _, end_x, end_y, end_yaw, *_ = end
+        more = np.outer([0.0, end_x, end_y, end_yaw, 0.0, 0.0], np.ones(len(times)))
         more[0] = times
-        way, marks = [more, user.way], [np.ones(len(times), np.bool_), user.extended]
-        user = replace(user, way=np.hstack(way[::-side]), extended=np.hstack(marks[::-side]))
+        columns, marks = [more, user.way], [np.ones(len(times), np.bool_), user.extended]
+        user = replace(user, way=np.hstack(columns[::-side]), extended=np.hstack(marks[::-side]))
     return user

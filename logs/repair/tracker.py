@@ -69,7 +69,9 @@ STAND_MPS, FIRST_MPS = 0.02, 10.0
 """Standard deviations of the velocity of a standing agent, and of the first sample of a smoothed
 track.
 """
-X, Y, VX, VY, COS, SIN, ALONG, ACROSS, WIDTH = 0, 1, 2, 3, 4, 5, 6, 9, 12
+X, Y, VX = 0, 1, 2
+VY, COS, SIN = 3, 4, 5
+ALONG, ACROSS, WIDTH = 6, 9, 12
 """Columns of states `(n, WIDTH)`; three each from `ALONG` and from `ACROSS` hold C."""
 
 
@@ -175,7 +177,8 @@ m.
 """
 GATE = 13.8
 """The 99.9 % quantile of chi squared with 2 degrees of freedom."""
-OTHER_GROUP, OTHER_SIZE, MOST_GROWTH, SIZE_MEMORY = 6.0, 2.0, 1.2, 0.8
+OTHER_GROUP, OTHER_SIZE = 6.0, 2.0
+MOST_GROWTH, SIZE_MEMORY = 1.2, 0.8
 """A cluster may become a person and a person a cluster; a vehicle stays a vehicle.
 
 Sizes may differ by a factor of up to e^`MOST_GROWTH`.
@@ -222,12 +225,12 @@ class Association:
             ]
             predict_all(tracks["state"], t - self.time, DENSITY[tracks["group"]])
             # each detection may begin a track
-            found, group, variance = (
+            new_tracks, group, variance = (
                 np.zeros(rows.stop - rows.start, _TRACK),
                 boxes.group[rows],
                 boxes.noise[rows] ** 2,
             )
-            state = found["state"]
+            state = new_tracks["state"]
             place = state[:, :ALONG]
             state[:, X], state[:, Y] = boxes.x[rows], boxes.y[rows]
             state[:, COS], state[:, SIN] = np.cos(boxes.yaw[rows]), np.sin(boxes.yaw[rows])
@@ -236,15 +239,15 @@ class Association:
                 FIRST_ALONG[group] ** 2,
                 FIRST_ACROSS[group] ** 2,
             )
-            found["size"] = np.sort(np.column_stack([boxes.length[rows], boxes.width[rows]]))
-            found["group"], found["last"], found["hits"] = group, t, 1
+            new_tracks["size"] = np.sort(np.column_stack([boxes.length[rows], boxes.width[rows]]))
+            new_tracks["group"], new_tracks["last"], new_tracks["hits"] = group, t, 1
             cost = _costs(
                 tracks["state"],
                 tracks["group"],
                 tracks["size"],
                 place,
                 group,
-                found["size"],
+                new_tracks["size"],
                 variance,
             )
             from scipy.optimize import linear_sum_assignment  # here: it takes long to load
@@ -256,21 +259,21 @@ class Association:
             for j, i in zip(old, new, strict=True):
                 update_one(tracks["state"][j], place[i, X], place[i, Y], variance[i])
             tracks["size"][old] = (
-                SIZE_MEMORY * tracks["size"][old] + (1.0 - SIZE_MEMORY) * found["size"][new]
+                SIZE_MEMORY * tracks["size"][old] + (1.0 - SIZE_MEMORY) * new_tracks["size"][new]
             )
             tracks["missed"][old], tracks["last"][old] = 0, t
             tracks["hits"][old] += 1
-            born = np.setdiff1d(np.arange(len(found)), new)
-            found["name"][new], found["name"][born] = (
+            born = np.setdiff1d(np.arange(len(new_tracks)), new)
+            new_tracks["name"][new], new_tracks["name"][born] = (
                 tracks["name"][old],
                 self.count + np.arange(len(born)),
             )
             self.tracks, self.time, self.count = (
-                np.concatenate([tracks, found[born]]),
+                np.concatenate([tracks, new_tracks[born]]),
                 t,
                 self.count + len(born),
             )
-            yield t, rows, found["name"]
+            yield t, rows, new_tracks["name"]
 
 
 @kernel
@@ -289,7 +292,7 @@ def _costs(
     Tracks: `states`, their groups `known`, `sizes`; detections: `place`, their groups `seen`,
     `seen_sizes`, `variance`.
     """
-    out = np.full((len(states), len(place)), _NEVER)
+    costs = np.full((len(states), len(place)), _NEVER)
     for i in range(len(states)):
         for j in range(len(place)):
             ex, ey = place[j, X] - states[i, X], place[j, Y] - states[i, Y]
@@ -310,8 +313,8 @@ def _costs(
                 abs(np.log(sizes[i, 1] / seen_sizes[j, 1])),
             )
             if m <= GATE and growth <= MOST_GROWTH:
-                out[i, j] = m + np.log(sa * sc) + OTHER_GROUP * other + OTHER_SIZE * growth
-    return out
+                costs[i, j] = m + np.log(sa * sc) + OTHER_GROUP * other + OTHER_SIZE * growth
+    return costs
 
 
 # Tracker
@@ -323,7 +326,8 @@ BIRTH_TIME, BIRTH_COUNT, BIRTH_SCORE = (
 )
 """Evidence (7) by group: time s, detections, sum of scores; later births give
 fewer ghosts (tests/support/track_score.py)."""
-KEEP_STILL_S, KEEP_S, KEEP_YOUNG_S, FEW = 2.0, 0.8, 0.35, 10
+KEEP_STILL_S, KEEP_S, KEEP_YOUNG_S = 2.0, 0.8, 0.35
+FEW = 10
 WINDOW_S, WINDOW_LEAST_S, FILTER_SLOW = 1.5, 0.8, 2.5
 YAW_MEMORY = 0.8
 """Share of the old heading that remains with each new detection."""
@@ -413,7 +417,7 @@ def tracked(every: Boxes, frames: FloatArray) -> Tracked:
     later frames.
     """
     boxes = every.taken(np.flatnonzero(stronger_twins(every) < 0))
-    joining, tracks, out = Association(), dict[int, _Track](), []
+    joining, tracks, by_frame = Association(), dict[int, _Track](), []
     for t, rows, names in joining.steps(boxes, frames):
         for name, i in zip(names.tolist(), range(rows.start, rows.stop), strict=True):
             if name not in tracks:
@@ -421,7 +425,8 @@ def tracked(every: Boxes, frames: FloatArray) -> Tracked:
             tracks[name].see(boxes, i)
         tracks = {name: tracks[name] for name in joining.tracks["name"].tolist()}
         # Of the tracks reported at t (7)
-        ids, codes, columns, growth, patience = [], [], [], [], []
+        ids, codes, columns = [], [], []
+        growth, patience = [], []
         for (name, track), row in zip(tracks.items(), joining.tracks, strict=True):
             state, group = row["state"], int(row["group"])
             early = t - track.first < BIRTH_TIME[group] - 1e-9
@@ -432,7 +437,8 @@ def tracked(every: Boxes, frames: FloatArray) -> Tracked:
             vx, vy = float(state[VX]), float(state[VY])
             sigma, most = float(np.sqrt(0.5 * (state[ALONG + 2] + state[ACROSS + 2]))), KEEP_S
             if track.stands(group, float(np.hypot(vx, vy)), length):
-                vx, vy, sigma, most = 0.0, 0.0, float(NOISE[group]) / WINDOW_S, KEEP_STILL_S
+                vx, vy = 0.0, 0.0
+                sigma, most = float(NOISE[group]) / WINDOW_S, KEEP_STILL_S
             elif track.count <= FEW:
                 most = KEEP_YOUNG_S
             unseen = t - float(row["last"])
@@ -445,8 +451,8 @@ def tracked(every: Boxes, frames: FloatArray) -> Tracked:
             columns.append((length, width, *pose, vx, vy, 0.0, 0.0, age, unseen, sigma))
             growth.append(float(DENSITY[group]))
             patience.append(most)
-        out.append((_agents(ids, codes, columns), np.array(growth), np.array(patience)))
-    agents, growths, patiences = zip(*out, strict=True) if out else ((), (), ())
+        by_frame.append((_agents(ids, codes, columns), np.array(growth), np.array(patience)))
+    agents, growths, patiences = zip(*by_frame, strict=True) if by_frame else ((), (), ())
     return Tracked(tuple(frames.tolist()), agents, growths, patiences)
 
 

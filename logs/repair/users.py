@@ -114,8 +114,8 @@ def fitted(rows: IntArray, boxes: Boxes, frames: FloatArray) -> Piece:
     xy = np.column_stack([boxes.x[rows], boxes.y[rows]])
     noise = NOISE[group]
     if len(rows) >= NOISE_COUNT:  # from the median distance to the line between their neighbours
-        at = t[seen]
-        share = ((at[1:-1] - at[:-2]) / (at[2:] - at[:-2]))[:, None]
+        times = t[seen]
+        share = ((times[1:-1] - times[:-2]) / (times[2:] - times[:-2]))[:, None]
         bent = xy[1:-1] - xy[:-2] - share * (xy[2:] - xy[:-2])
         # sum of two squares of normal variables of variance r (1 + share^2 + (1 - share)^2): median
         # 2 ln 2 of it
@@ -149,24 +149,26 @@ def stitched(pieces: Sequence[Piece], boxes: Boxes, frames: FloatArray) -> list[
     """Join the pieces whose ends meet if both are extrapolated to the middle of the gap."""
     if len(pieces) < 2:
         return list(pieces)
-    begin, end = (np.array([[piece.t[at], *piece.path[at]] for piece in pieces]) for at in (0, -1))
+    begin, end = (
+        np.array([[piece.t[row], *piece.path[row]] for piece in pieces]) for row in (0, -1)
+    )
     group, still = (
         np.array([piece.group for piece in pieces]),
         np.array([piece.still for piece in pieces]),
     )
     sides = [(boxes.length[piece.rows], boxes.width[piece.rows]) for piece in pieces]
-    size = np.log([(np.median(np.maximum(*each)), np.median(np.minimum(*each))) for each in sides])
+    size = np.log([(np.median(np.maximum(*part)), np.median(np.minimum(*part))) for part in sides])
     gaps = begin[:, 0] - end[:, :1]
     # Piece i ends before piece j begins
     i, j = np.nonzero((gaps > 1e-6) & (gaps <= STITCH_STILL_S))
     gap, few = gaps[i, j], np.array([len(piece.rows) < FEW for piece in pieces])
-    before, after = (np.where(still[:, None], 0.0, each[:, 3:]) for each in (end, begin))
-    out = np.where((few[i] & ~few[j])[:, None], after[j], before[i])
+    before, after = (np.where(still[:, None], 0.0, part[:, 3:]) for part in (end, begin))
+    leaving = np.where((few[i] & ~few[j])[:, None], after[j], before[i])
     back = np.where((few[j] & ~few[i])[:, None], before[i], after[j])
-    off = end[i, 1:3] - begin[j, 1:3] + 0.5 * gap[:, None] * (out + back)
+    off = end[i, 1:3] - begin[j, 1:3] + 0.5 * gap[:, None] * (leaving + back)
     miss, change, growth = (
         np.hypot(*off.T),
-        np.hypot(*(out - back).T),
+        np.hypot(*(leaving - back).T),
         np.abs(size[i] - size[j]).max(axis=1),
     )
     (meet, growing), (turn, turning) = MEET[group[i]].T, TURN[group[i]].T
@@ -185,7 +187,7 @@ def stitched(pieces: Sequence[Piece], boxes: Boxes, frames: FloatArray) -> list[
         chain = [k]
         while chain[-1] in following:
             chain.append(following[chain[-1]])
-        rows = np.concatenate([pieces[each].rows for each in chain])
+        rows = np.concatenate([pieces[part].rows for part in chain])
         whole.append(pieces[k] if len(chain) == 1 else fitted(rows, boxes, frames))
     return whole
 
@@ -211,16 +213,18 @@ class User:
     @cached_property
     def poses(self) -> FloatArray:
         """Boxes `(k, 5)`: x, y, yaw, length, width."""
-        return np.column_stack(
-            [*self.way[1:4], *np.outer([self.length, self.width], np.ones(len(self.t)))]
-        )
+        _, x, y, yaw, *_ = self.way
+        sizes = np.outer([self.length, self.width], np.ones(len(self.t)))
+        return np.column_stack([x, y, yaw, *sizes])
 
 
 def user_of(piece: Piece, boxes: Boxes, ego: Trajectory) -> User:
     """Make the road user of a piece; votes are weighted by score and by distance from the ego."""
     rows = piece.rows
-    t, x, y, codes = boxes.t[rows], boxes.x[rows], boxes.y[rows], boxes.codes[rows]
-    far = np.hypot(x - np.interp(t, ego.t, ego.x), y - np.interp(t, ego.t, ego.y))
+    t, codes = boxes.t[rows], boxes.codes[rows]
+    dx = boxes.x[rows] - np.interp(t, ego.t, ego.x)
+    dy = boxes.y[rows] - np.interp(t, ego.t, ego.y)
+    far = np.hypot(dx, dy)
     weight = boxes.weight[rows] / (1.0 + (far / FAR_M) ** 2)
     code = int(np.bincount(codes, np.where(boxes.group[rows] == piece.group, weight, 0.0)).argmax())
     sides = []
@@ -237,10 +241,10 @@ def user_of(piece: Piece, boxes: Boxes, ego: Trajectory) -> User:
     yaw, turned = _headings(piece, path, boxes.yaw[rows], weight)
     label, speed = _KINDS[code], np.median(np.hypot(path[:, 2], path[:, 3]))
     rides = label is AgentKind.PEDESTRIAN and piece.net > RIDES_M and speed > RIDES_MPS
-    way = np.array([piece.t, path[:, 0], path[:, 1], yaw, path[:, 2], path[:, 3]])
+    columns = np.array([piece.t, path[:, 0], path[:, 1], yaw, path[:, 2], path[:, 3]])
     kind = AgentKind.BICYCLE if rides else label
     return User(
-        piece, kind, label, sides[0], sides[1], way, turned, np.zeros(len(piece.t), np.bool_)
+        piece, kind, label, sides[0], sides[1], columns, turned, np.zeros(len(piece.t), np.bool_)
     )
 
 

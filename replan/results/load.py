@@ -86,16 +86,10 @@ def stored(near: Near, kind: type[Run]) -> Run:
             f"{near.place}: no results of a finished run (no summary.json in it; {hint})"
         )
     summary, card = read_json(file, Summary)
-    names, drives = (
-        [log.log for log in card.logs],
-        [drive for log in card.logs for drive in log.drives],
-    )
-    keys = {
-        (log.log, drive.planner, drive.mode)
-        for log in card.logs
-        for drive in log.drives
-        if log.log == drive.log
-    }
+    names = [log.log for log in card.logs]
+    drives_of_logs = [(log.log, drive) for log in card.logs for drive in log.drives]
+    drives = [drive for _, drive in drives_of_logs]
+    keys = {(log, drive.planner, drive.mode) for log, drive in drives_of_logs if log == drive.log}
     if len(set(names)) < len(names) or len(keys) < len(drives):
         raise ConfigError(
             f"{file}: names a log or a drive twice, or a drive with the name of another log; "
@@ -244,35 +238,35 @@ class StoredRun:
         """A row per frame and decision, of all drives: reads every trace."""
         rows = []
         for key in self.drives[["log", "planner", "mode"]].itertuples(index=False, name=None):
-            one = StoredDrive(self, *key)
-            for frame in one.trace.frames:
+            drive = StoredDrive(self, *key)
+            for frame in drive.trace.frames:
                 for item in frame.plan.internals:
                     if isinstance(item, Decision):
-                        where = one.log, one.planner, one.mode, frame.t
+                        where = drive.log, drive.planner, drive.mode, frame.t
                         rows.append((*where, item.agent, item.kind.value, item.stage, item.reason))
         return pd.DataFrame(rows, columns=names_of("decisions"))
 
     def key_of(self, log: str, planner: str | None, mode: str) -> tuple[str, str, str]:
         """Log, planner and mode of one drive; ConfigError if there is none, or several."""
         table = self.drives
-        found = table[(table["log"] == log) & (table["mode"] == mode)]
+        drives = table[(table["log"] == log) & (table["mode"] == mode)]
         if planner is not None:
-            found = found[found["planner"] == planner]
-        if len(found) == 1:
-            row = found.iloc[0]
+            drives = drives[drives["planner"] == planner]
+        if len(drives) == 1:
+            row = drives.iloc[0]
             return row["log"], row["planner"], row["mode"]
         if log not in set(table["log"]):
             raise unknown_name("log", log, list(dict.fromkeys(table["log"])))
-        mine = table[table["log"] == log]
-        there = ", ".join(
-            f"{p} ({m} loop)" for p, m in zip(mine["planner"], mine["mode"], strict=True)
+        of_log = table[table["log"] == log]
+        listed_drives = ", ".join(
+            f"{p} ({m} loop)" for p, m in zip(of_log["planner"], of_log["mode"], strict=True)
         )
-        what = (
+        problem = (
             "name a planner of"
-            if len(found)
+            if len(drives)
             else f"no {mode} loop of {planner or 'any planner'}; there are"
         )
-        raise ConfigError(f"{self.path}: {log}: {what} {there}")
+        raise ConfigError(f"{self.path}: {log}: {problem} {listed_drives}")
 
     def __repr__(self) -> str:
         counts = self.gates["outcome"].value_counts()
@@ -339,8 +333,8 @@ class StoredDrive:
     def steps(self, metric: str) -> tuple[FloatArray, FloatArray]:
         """One metric step by step, t (s) and value `(n,)`; empty if it was not measured."""
         t, values, rows = self._by_metric
-        mine = rows.get(metric, slice(0, 0))
-        return t[mine], values[mine]
+        rows_of_metric = rows.get(metric, slice(0, 0))
+        return t[rows_of_metric], values[rows_of_metric]
 
     @cached_property
     def _by_metric(self) -> tuple[FloatArray, FloatArray, dict[str, slice]]:
@@ -352,17 +346,17 @@ class StoredDrive:
         table = read_table(file, words=words).combine_chunks()
         planner, mode, metric = (table[name].chunk(0) for name in words)
         codes = [column.dictionary.to_pylist() for column in (planner, mode, metric)]
-        mine = np.full(len(table), self.planner in codes[0] and self.mode in codes[1])
+        of_drive = np.full(len(table), self.planner in codes[0] and self.mode in codes[1])
         for column, known, name in ((planner, codes[0], self.planner), (mode, codes[1], self.mode)):
-            mine &= column.indices.to_numpy() == (known.index(name) if name in known else -1)
-        of = metric.indices.to_numpy()[mine]
+            of_drive &= column.indices.to_numpy() == (known.index(name) if name in known else -1)
+        of = metric.indices.to_numpy()[of_drive]
         order = np.argsort(of, kind="stable")
         ends = np.cumsum(np.bincount(of, minlength=len(codes[2])))
         rows = {
             name: slice(int(b), int(e))
             for name, b, e in zip(codes[2], [0, *ends[:-1]], ends, strict=True)
         }
-        t, values = (table[name].to_numpy()[mine][order] for name in ("t_s", "value"))
+        t, values = (table[name].to_numpy()[of_drive][order] for name in ("t_s", "value"))
         return t, values, rows
 
     @cached_property
@@ -423,12 +417,12 @@ class StoredDrive:
         return f"<{self.title}: {info['end']} after {info['t_end_s']:.2f} s{gates}>"
 
     def _mine(self, table: pd.DataFrame) -> pd.DataFrame:
-        mine = (
+        of_drive = (
             (table["log"] == self.log)
             & (table["planner"] == self.planner)
             & (table["mode"] == self.mode)
         )
-        return table[mine].reset_index(drop=True)
+        return table[of_drive].reset_index(drop=True)
 
     def _row(self, table: pd.DataFrame) -> pd.Series[Any]:
         return table[table["log"] == self.log].iloc[0]
@@ -445,7 +439,7 @@ def named_logs(name: str, logs: Iterable[str]) -> list[str]:
     if name in known:
         return [name]
     words = re.compile(r"[^0-9A-Za-z]+")
-    found = [log for log in known if words.sub("_", name) in words.sub("_", log)]
-    if not found:
+    matches = [log for log in known if words.sub("_", name) in words.sub("_", log)]
+    if not matches:
         raise unknown_name("log (in the run)", name, known)
-    return found
+    return matches

@@ -40,12 +40,10 @@ from replan.results.schema import (
 )
 from replan.results.tables import LOG_CARD, write_file, write_json, write_parquet
 
-METRICS, MEMBERS, HEALTH, TIMINGS = (
-    "metrics.parquet",
-    "ensemble.parquet",
-    "health.parquet",
-    "timings.parquet",
-)
+METRICS = "metrics.parquet"
+MEMBERS = "ensemble.parquet"
+HEALTH = "health.parquet"
+TIMINGS = "timings.parquet"
 FRAMES = "frames.parquet"
 NOT_OF_A_LOG = ("schema_version",)  # Columns that the tables in a log's folder lack
 # The largest number of bytes of steps in memory; more are stored in the file

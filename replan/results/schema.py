@@ -473,15 +473,15 @@ def read_json(file: Path, kind: type[T], again: str = AGAIN) -> tuple[dict[str, 
     try:
         check_regular(file)
         content = file.read_bytes()
-        found: Any = msgspec.json.decode(content)
+        document: Any = msgspec.json.decode(content)
     except (OSError, ValueError, RecursionError) as error:
         raise ConfigError(f"{file}: cannot be read: {error}; {again}") from None
-    version = found.get("schema_version") if isinstance(found, dict) else None
+    version = document.get("schema_version") if isinstance(document, dict) else None
     if isinstance(version, int) and version != SCHEMA_VERSION:
         raise ConfigError(
             f"{file}: is of version {version}, this replan reads {SCHEMA_VERSION}; {again}"
         )
-    return checked(file, found, kind, again)
+    return checked(file, document, kind, again)
 
 
 def checked(file: Path, found: Any, kind: type[T], again: str) -> tuple[dict[str, Any], T]:
@@ -516,10 +516,10 @@ def read_table(
         raise ConfigError(f"{file}: {is_of}, this replan reads {SCHEMA_VERSION}; {again}")
     table = table.replace_schema_metadata(None)
     check_table(table, file, file.name, without, again)
-    for at, column in enumerate(TABLES[file.name].columns):
+    for position, column in enumerate(TABLES[file.name].columns):
         if column.name not in table.column_names and column.older is not None:
             table = table.add_column(
-                at, column.name, pa.array([column.older] * len(table), pa_type(column.kind))
+                position, column.name, pa.array([column.older] * len(table), pa_type(column.kind))
             )
     return table.select([name for name in names_of(file.name) if name in table.column_names])
 

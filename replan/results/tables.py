@@ -262,16 +262,16 @@ def next_free() -> Path:
     ConfigError if the folder cannot be created.
     """
     for number in count(1):
-        out = Path("results", f"run-{number:03d}")
+        folder = Path("results", f"run-{number:03d}")
         try:
-            out.mkdir(parents=True)
+            folder.mkdir(parents=True)
         except FileExistsError:
             continue
         except OSError as error:
             raise ConfigError(
-                f"{out}: cannot be the result folder: {error.strerror}; name one with --out"
+                f"{folder}: cannot be the result folder: {error.strerror}; name one with --out"
             ) from None
-        return out
+        return folder
     raise AssertionError
 
 

@@ -19,7 +19,7 @@ from replan.replay.planner_process.messages import LARGEST_BYTES
 T = TypeVar("T")
 
 HEADER = struct.Struct("<I")
-PIPE_BYTES = 1 << 20
+PIPE_BYTES = 1_048_576
 """Size of a pipe, which holds a whole frame (the default is 64 KiB; Linux allows 1 MiB without
 privileges).
 """
@@ -90,14 +90,14 @@ class Channel(Generic[T]):
         self._read(HEADER.size, deadline)
         (size,) = HEADER.unpack_from(self._buffer)
         if size > LARGEST_BYTES and not self._patient:
-            what = f"a message of {size} bytes, more than {LARGEST_BYTES}"
+            problem = f"a message of {size} bytes, more than {LARGEST_BYTES}"
             raise GarbageError(
-                f"{what} (keep less inside of plans, or give a smaller loop.apart.batch)"
+                f"{problem} (keep less inside of plans, or give a smaller loop.apart.batch)"
             )
         end = HEADER.size + size
         self._read(end, deadline)
         try:
-            found: T = self._decoder.decode(memoryview(self._buffer)[HEADER.size : end])
+            message: T = self._decoder.decode(memoryview(self._buffer)[HEADER.size : end])
         except (msgspec.DecodeError, UnicodeDecodeError) as error:
             raise GarbageError(" ".join(str(error).split())) from None
         if time.monotonic() > deadline:
@@ -105,7 +105,7 @@ class Channel(Generic[T]):
         rest = self._buffer[end : self._filled]
         self._buffer[: len(rest)] = rest
         self._filled = len(rest)
-        return found
+        return message
 
     def _read(self, size: int, deadline: float) -> None:
         """Read until `size` bytes are in the buffer.

@@ -60,9 +60,9 @@ def _redirect_streams() -> None:
     os.dup2(2, 1)
     sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
     sys.argv = ["planner"]
-    here = str(Path.cwd())
-    if here not in sys.path:
-        sys.path.append(here)
+    directory = str(Path.cwd())
+    if directory not in sys.path:
+        sys.path.append(directory)
 
 
 def warm() -> None:
@@ -108,13 +108,13 @@ class PlannerServer:
                 lambda planners, frames: self._together(frames, planners), seats, question.each
             )
             if not isinstance(plans, list | tuple) or len(plans) != len(seats):
-                what = (
+                returned = (
                     f"{len(plans)} plans"
                     if isinstance(plans, list | tuple)
                     else type(plans).__name__
                 )
                 return messages.Failed(
-                    f"plan_batch returned {what} instead of {len(seats)} plans", "contract"
+                    f"plan_batch returned {returned} instead of {len(seats)} plans", "contract"
                 )
             return messages.Answers([self._sent(plan) for plan in plans])
         if isinstance(question, messages.Describe):

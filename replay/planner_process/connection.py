@@ -219,8 +219,8 @@ class ApartPlanner:
         if not isinstance(answer, messages.Ready):
             raise self._connection.fault("cannot be built: it did not answer hello with ready")
         if answer.schema != version:
-            what = f"it speaks version {answer.schema} of the messages, replan {version}"
-            raise self._connection.fault(f"cannot be built: {what}")
+            problem = f"it speaks version {answer.schema} of the messages, replan {version}"
+            raise self._connection.fault(f"cannot be built: {problem}")
         self.coordinates = answer.coordinates
 
     def plan(self, frame: Frame) -> Plan:
@@ -347,7 +347,8 @@ def clean_text(text: str) -> str:
     characters.
     """
     return "".join(
-        each if each.isprintable() else "?" for each in " ".join(messages.shortened(text).split())
+        character if character.isprintable() else "?"
+        for character in " ".join(messages.shortened(text).split())
     )
 
 
@@ -502,8 +503,8 @@ class BatchSession:
         except FaultError as fault:
             answer = fault
         answers = answer.each if isinstance(answer, messages.Answers) else [answer] * len(logs)
-        for log, each in zip(logs, answers, strict=True):
-            log.answer, log.took_s = each, time.perf_counter() - begin
+        for log, answer_of_log in zip(logs, answers, strict=True):
+            log.answer, log.took_s = answer_of_log, time.perf_counter() - begin
 
     def close(self) -> None:
         """End the drives."""
@@ -521,16 +522,16 @@ def in_lockstep(tasks: Sequence[Callable[[], R]]) -> list[R]:
         for log in logs:
             log.run_on()
         while waiting := [log for log in logs if not log.ended]:
-            some = [log for log in waiting if isinstance(log.request.message, messages.Frame)]
-            if session is not None and some:
-                session.plan(some)
+            team = [log for log in waiting if isinstance(log.request.message, messages.Frame)]
+            if session is not None and team:
+                session.plan(team)
             else:
                 if session is not None:
                     session.close()
                 first = min(log.request.place for log in waiting)
-                some = [log for log in waiting if log.request.place == first]
-                session = BatchSession(some)
-            for log in some:
+                team = [log for log in waiting if log.request.place == first]
+                session = BatchSession(team)
+            for log in team:
                 log.run_on()
     finally:
         if session is not None:

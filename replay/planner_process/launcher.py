@@ -170,10 +170,10 @@ def children() -> set[int]:
 
     None on other systems, where it adopts no orphans.
     """
-    found = set[int]()
+    pids = set[int]()
     for task in Path("/proc/self/task").glob("*/stat"):
-        found |= {int(word) for word in (task.parent / "children").read_text().split()}
-    return found
+        pids |= {int(word) for word in (task.parent / "children").read_text().split()}
+    return pids
 
 
 def _kill(pid: int) -> None:
@@ -262,12 +262,12 @@ def _threads() -> int:
 
 
 def _descriptors() -> set[int]:
-    found = set()
+    numbers = set()
     for place in list(Path("/dev/fd").iterdir()):
         with suppress(OSError):  # the descriptor of the listing itself
             os.fstat(int(place.name))
-            found.add(int(place.name))
-    return found
+            numbers.add(int(place.name))
+    return numbers
 
 
 def _execute(argv: list[str], path: str | None) -> NoReturn:

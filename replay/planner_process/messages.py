@@ -44,7 +44,7 @@ from replan.logs.vehicle import VehicleParameters
 from replan.replay.planner_process.coordinates import Coordinates
 
 SCHEMA_VERSION = 1
-LARGEST_BYTES = 64 << 20
+LARGEST_BYTES = 67_108_864
 """The largest length of a planner's message: any four text characters, read as a length, exceed
 it.
 """
@@ -55,7 +55,7 @@ MOST_POINTS = (
 )
 LONGEST_REASON = 1000  # Characters of a reason or an error message. A longer one is cut and marked.
 MOST_STAGES = 100  # Stages of a plan; `dp_qp` has about 10
-LARGEST_INSIDE_BYTES = 8 << 20
+LARGEST_INSIDE_BYTES = 8_388_608
 """Largest size of the internals and timings of one plan, as MessagePack.
 
 Those of `dp_qp` have about 10 KiB.
@@ -320,16 +320,16 @@ def frame_message(now: frame.Frame) -> Frame:
 
 def frame_of(message: Frame) -> frame.Frame:
     """The frame of a message."""
-    some = message.predictions
-    shape = (len(some.agent), len(unpacked(some.t)))
+    predictions = message.predictions
+    shape = (len(predictions.agent), len(unpacked(predictions.t)))
     futures: dict[str, Any] = {
-        name: unpacked(getattr(some, name)).reshape(shape) for name in ("x", "y", "yaw")
+        name: unpacked(getattr(predictions, name)).reshape(shape) for name in ("x", "y", "yaw")
     }
     return frame.Frame(
         message.t,
         message.ego,
         noun_of(agents.Agents, message.agents),
-        noun_of(frame.Predictions, some, **futures),
+        noun_of(frame.Predictions, predictions, **futures),
         None if message.previous is None else plan_of(message.previous),
         message.visibility,
         {light.id: light.colour for light in message.lights},

@@ -177,23 +177,23 @@ class ForkClient:
     def start(self, request: Mapping[str, Any], kind: Any) -> Process:
         """Fork a planner's process at the other end; OSError if that end has closed."""
         pipes = [os.pipe() for _ in range(3)]
-        (stdin, into), (out, stdout), (printed, stderr) = pipes
+        (stdin, into), (outputs, stdout), (printed, stderr) = pipes
         try:
             key = self._send_request(request, [stdin, stdout, stderr])
         except OSError:
-            for fd in (into, out, printed):
+            for fd in (into, outputs, printed):
                 os.close(fd)
             raise
         finally:
             for fd in (stdin, stdout, stderr):
                 os.close(fd)
-        return Process(self, key, Channel(into, out, kind, printed))
+        return Process(self, key, Channel(into, outputs, kind, printed))
 
     def template(self, request: Mapping[str, Any]) -> ForkClient:
         """Fork a template at the other end, which loads a module."""
-        ours, theirs = socket.socketpair()
-        with theirs:
-            return ForkClient(ours, self._send_request(request, [theirs.fileno()]))
+        parent_end, child_end = socket.socketpair()
+        with child_end:
+            return ForkClient(parent_end, self._send_request(request, [child_end.fileno()]))
 
     def _send_request(self, request: Mapping[str, Any], given: list[int]) -> int:
         self._count += 1
@@ -249,11 +249,11 @@ class Launcher:
     """
 
     def __init__(self, environment: Mapping[str, str]) -> None:
-        control, theirs = socket.socketpair()
-        with theirs:
+        control, child_end = socket.socketpair()
+        with child_end:
             self._process = subprocess.Popen(
                 [sys.executable, "-P", "-m", "replan.replay.planner_process.launcher"],
-                stdin=theirs.fileno(),
+                stdin=child_end.fileno(),
                 stdout=subprocess.DEVNULL,
                 env=dict(environment),
                 start_new_session=True,
@@ -271,19 +271,19 @@ class Launcher:
         """The template that has loaded a planner; None if that takes too long, or it must not be
         forked.
         """
-        found = self.templates.get(load)
-        if found is not None and self.forks.status(found.key, 0.0) is not None:
+        template = self.templates.get(load)
+        if template is not None and self.forks.status(template.key, 0.0) is not None:
             del self.templates[load]  # it has died
         if load not in self.templates:
             request = {
                 "load": [load.planner, load.settings.hex()],
                 "memory": round(limits.memory_gb * 1e9),
             }
-            made = self.forks.template(request)
-            fit = made.fit(limits.start_timeout_s)
+            new_template = self.forks.template(request)
+            fit = new_template.fit(limits.start_timeout_s)
             if not fit:
-                self.forks.kill(made.key)
-            self.templates[load] = made if fit else None
+                self.forks.kill(new_template.key)
+            self.templates[load] = new_template if fit else None
         return self.templates[load]
 
 
@@ -292,8 +292,8 @@ def _end_launcher(
     process: subprocess.Popen[bytes],
     templates: Mapping[Load, ForkClient | None],
 ) -> None:
-    for each in filter(None, templates.values()):
-        each.close()  # closing ends them; otherwise the launcher would wait for them
+    for template in filter(None, templates.values()):
+        template.close()  # closing ends them; otherwise the launcher would wait for them
     control.close()
     with suppress(subprocess.TimeoutExpired):
         process.wait(10.0)

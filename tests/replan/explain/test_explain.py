@@ -61,7 +61,7 @@ def test_a_run_read_back_is_explained_as_it_was_when_driven(results: Results) ->
     assert any(account.causes for account in again)
 
 
-def test_explain_says_each_change_of_decision_once(results: Results) -> None:
+def test_explain_prints_each_change_of_decision_once(results: Results) -> None:
     drive = results.drive(LOG, "dp_qp")
     found = explained(drive)
     kinds = [frozenset((d.agent, d.kind) for d in one.decisions) for one in found]
@@ -110,7 +110,7 @@ def test_a_cause_that_does_not_account_for_the_braking_is_not_first() -> None:
     assert replace(weak, need_mps2=1.2).accounts_for(-3.4)
 
 
-def test_the_command_says_one_instant_and_one_json_document(results: Results) -> None:
+def test_explain_prints_one_instant_or_one_json_document(results: Results) -> None:
     said = replan("explain", results.path, "--planner", "dp_qp", "--at", 6.55).stdout
     assert "t = 6.50 s: slows down" in said and said.count("t = ") == 1
     document = json.loads(replan("explain", results.path, "--mode", "open", "--json").stdout)
@@ -175,7 +175,7 @@ def test_the_problems_of_a_dump_have_the_answers_that_are_with_them(
         np.testing.assert_array_equal(solve(problem, stage="again", tolerance=1e-3).x, result.x)
 
 
-def test_another_planner_is_given_the_frame_alone(results: Results) -> None:
+def test_another_planner_gets_only_the_frame_of_a_dump(results: Results) -> None:
     drive = results.drive(LOG, "dp_qp")
     again = replan_frame(drive, 6.5, "idm")
     assert again.is_same is None and again.dump.planner == "idm" and len(again.dump.frames) == 1
@@ -201,7 +201,7 @@ def test_the_command_reports_stages_sizes_and_residuals(results: Results, tmp_pa
 
 
 @pytest.mark.parametrize("content", [b"", b"\x80", b"no dump at all"])
-def test_what_is_no_dump_is_a_clean_error(content: bytes, tmp_path: Path) -> None:
+def test_an_invalid_dump_is_a_clean_error(content: bytes, tmp_path: Path) -> None:
     (tmp_path / "frame.msgpack").write_bytes(content)
     with pytest.raises(LogError, match="is not a dump of a frame"):
         load(tmp_path / "frame.msgpack")
@@ -237,7 +237,7 @@ def outlines(*agents: dict[str, object], end: float = 8.0) -> list[FloatArray]:
     return found
 
 
-def test_a_car_that_drives_ahead_takes_the_way_from_its_rear_to_its_front() -> None:
+def test_a_car_ahead_occupies_the_path_from_rear_to_front() -> None:
     t = np.arange(0.0, 8.01, 0.1)
     (found,) = outlines(
         track("a", list(t), list(30.0 + 5.0 * t), [0.0] * len(t), length=4.0, width=2.0)
@@ -250,13 +250,13 @@ def test_a_car_that_drives_ahead_takes_the_way_from_its_rear_to_its_front() -> N
     assert high[::-1, 1] == pytest.approx(32.0 + 5.0 * low[:, 0] + rear, abs=0.3)
 
 
-def test_nothing_is_drawn_beside_the_way_or_after_the_drive() -> None:
+def test_occupancy_is_empty_beside_the_path_and_after_the_drive() -> None:
     assert outlines(track("beside", [0.0], [30.0], [6.0], static=True)) == []
     (found,) = outlines(track("wall", [0.0], [30.0], [0.0], static=True), end=2.0)
     assert found[:, 0].max() == pytest.approx(2.0)
 
 
-def test_only_those_in_the_graph_are_drawn() -> None:
+def test_occupancy_is_of_agents_of_the_graph_alone() -> None:
     ego = drive(straight, 10.0, 8.0)
     world = scenario(
         ego, agents=tracks(track("wall", [0.0], [30.0], [0.0], static=True)), road=lanes_along(ego)

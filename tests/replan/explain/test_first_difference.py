@@ -194,13 +194,13 @@ ANY_FRAME = st.integers(0, FRAMES - 1)
 
 
 @pytest.mark.parametrize("mode", list(Mode))
-def test_a_drive_does_not_part_from_itself(mode: Mode) -> None:
+def test_a_drive_has_no_difference_from_itself(mode: Mode) -> None:
     assert first_difference(drive(mode), drive(mode)) is None
 
 
 @settings(max_examples=25, deadline=None)
 @given(ANY_FRAME, st.sampled_from(list(PLANTED)), st.sampled_from(list(Mode)))
-def test_what_is_changed_in_a_frame_is_found_there(k: int, name: str, mode: Mode) -> None:
+def test_a_change_in_a_frame_is_its_first_difference(k: int, name: str, mode: Mode) -> None:
     stage, change, words = PLANTED[name]
     trace = drive(mode)
     other = changed(trace, k, change)
@@ -213,7 +213,7 @@ def test_what_is_changed_in_a_frame_is_found_there(k: int, name: str, mode: Mode
 
 @settings(max_examples=15, deadline=None)
 @given(st.lists(st.tuples(ANY_FRAME, st.sampled_from(list(PLANTED))), min_size=2, max_size=4))
-def test_of_several_changes_the_first_in_time_and_then_in_stage_is_found(
+def test_the_first_difference_is_first_in_time_then_in_stage(
     planted: list[tuple[int, str]],
 ) -> None:
     other = drive()
@@ -278,7 +278,7 @@ def test_between_frames_the_controller_and_the_car_act(row: int, stage: str) -> 
 
 @given(st.floats(0.0, 0.9e-8))
 @settings(max_examples=5, deadline=None)
-def test_rounding_parts_nothing(size: float) -> None:
+def test_rounding_is_no_difference(size: float) -> None:
     trace = drive()
     assert (
         first_difference(trace, replace(trace, ego=replace(trace.ego, x=trace.ego.x + size)))
@@ -298,7 +298,7 @@ def test_a_small_cause_is_named_and_not_its_larger_effect() -> None:
     assert found.what.endswith("; more than 0.001 from t = 2.00 s on (vehicle)")
 
 
-def test_others_elsewhere_are_an_input() -> None:
+def test_other_positions_of_agents_are_a_difference_of_the_input() -> None:
     trace = drive()
     agents = replace(trace.agents, x=trace.agents.x + np.where(trace.agents.t > 1.05, 0.3, 0.0))
     found = first_difference(trace, replace(trace, agents=agents))
@@ -326,7 +326,7 @@ def test_another_start_is_an_input_and_a_late_plan_the_controllers() -> None:
     assert found is not None and (found.t, found.stage) == (1.0, "input frame")
 
 
-def test_a_drive_that_ends_earlier_parts_where_it_ends() -> None:
+def test_an_earlier_end_is_the_first_difference() -> None:
     trace = drive()
     cut = {name: first(getattr(trace, name), 200) for name in ("ego", "commands")}
     short = replace(
@@ -364,7 +364,7 @@ def planner_drive(mode: Mode, planner: str = "idm") -> Trace:
 
 
 @pytest.mark.parametrize("mode", LOOPS)
-def test_a_planner_does_not_part_from_itself(mode: Mode) -> None:
+def test_planners_part_finds_nothing_for_equal_drives(mode: Mode) -> None:
     assert planners_part(planner_drive(mode), planner_drive(mode)) is None
 
 
@@ -389,7 +389,7 @@ def test_the_first_frame_beyond_a_bound_is_found(k: int, faster: float, aside: f
 
 
 @pytest.mark.parametrize("mode", LOOPS)
-def test_what_each_planner_decides_there_is_said(mode: Mode) -> None:
+def test_planners_part_states_the_decision_of_each_planner(mode: Mode) -> None:
     found = planners_part(planner_drive(mode), planner_drive(mode, "dp_qp"))
     assert (
         found is not None

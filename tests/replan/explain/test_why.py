@@ -322,7 +322,7 @@ def braking(world: Scenario, internals: tuple[Decision, ...] = ()) -> Plan:
     return replace(plan, internals=internals)
 
 
-def test_with_a_car_ahead_it_is_the_car_and_inferred() -> None:
+def test_a_car_ahead_is_an_inferred_cause() -> None:
     """10 m/s, rear bumper at 30 - 2.25: the front, at the axle's distance, is within 2 m after so
     much road.
     """
@@ -338,7 +338,7 @@ def test_with_a_car_ahead_it_is_the_car_and_inferred() -> None:
     assert sentences(account)[0].startswith("Slows down for stopped (inferred): ")
 
 
-def test_a_decision_that_the_numbers_bear_out_is_said_as_one() -> None:
+def test_a_decision_with_numbers_is_one_cause() -> None:
     world = world_with(track("stopped", [0.0], [30.0], [0.0], static=True))
     stop = Decision("stopped", DecisionKind.STOP, "speed", "stands in the lane")
     said = sentences(why_of(world, braking(world, (stop,))))
@@ -346,7 +346,7 @@ def test_a_decision_that_the_numbers_bear_out_is_said_as_one() -> None:
 
 
 @pytest.mark.parametrize("kind", [DecisionKind.YIELD, DecisionKind.STOP, DecisionKind.FOLLOW])
-def test_a_decision_about_who_is_far_from_the_way_is_no_cause(kind: DecisionKind) -> None:
+def test_a_decision_about_an_agent_far_from_the_path_is_no_cause(kind: DecisionKind) -> None:
     world = world_with(track("aside", [0.0], [30.0], [12.0], static=True))
     (cause,) = why_of(
         world, braking(world, (Decision("aside", kind, "speed", "for no reason"),))
@@ -354,7 +354,7 @@ def test_a_decision_about_who_is_far_from_the_way_is_no_cause(kind: DecisionKind
     assert cause.kind is CauseKind.NONE and not cause.who
 
 
-def test_a_word_about_who_is_near_the_way_is_the_planners() -> None:
+def test_a_decision_about_an_agent_near_the_path_is_a_cause() -> None:
     world = world_with(track("waits", [0.0], [30.0], [3.2], static=True))
     may = Decision("waits", DecisionKind.YIELD, "speed", "may step out")
     said = sentences(why_of(world, braking(world, (may,))))
@@ -365,7 +365,9 @@ def test_a_word_about_who_is_near_the_way_is_the_planners() -> None:
     ("x", "y", "hard"),
     [(-1.0, 2.4, True), (-1.0, 2.4, False), (-1.0, 6.0, True), (-9.0, 2.4, True)],
 )
-def test_hard_braking_is_for_who_is_beside_and_followed(x: float, y: float, hard: bool) -> None:
+def test_a_followed_agent_beside_the_ego_explains_hard_braking(
+    x: float, y: float, hard: bool
+) -> None:
     """Whoever is beside is not met: they are behind the middle of the ego."""
     world = world_with(track("beside", [0.0], [x], [y], static=True))
     plan = braking(world, (Decision("beside", DecisionKind.FOLLOW, "speed", "comes in"),))
@@ -384,9 +386,7 @@ def test_hard_braking_is_for_who_is_beside_and_followed(x: float, y: float, hard
 
 
 @pytest.mark.parametrize(("y", "kind"), [(3.2, CauseKind.WORD), (12.0, CauseKind.NONE)])
-def test_who_is_overtaken_near_the_way_is_inferred_where_nothing_else_is_found(
-    y: float, kind: CauseKind
-) -> None:
+def test_an_overtaken_agent_is_inferred_without_other_causes(y: float, kind: CauseKind) -> None:
     world = world_with(track("walks", [0.0], [30.0], [y], static=True))
     account = why_of(
         world,
@@ -401,7 +401,7 @@ def test_who_is_overtaken_near_the_way_is_inferred_where_nothing_else_is_found(
     assert (sentences(account) == [f"{said} at 10.0 m/s."]) is (kind is CauseKind.WORD)
 
 
-def test_one_conflict_is_said_once() -> None:
+def test_a_conflict_is_stated_once() -> None:
     why = "car 3 goes first: takes it from 2.0 s on, the ego would from 1.0 s to 4.0 s"
     lane, car = (
         Cause(CauseKind.STOP, "lane 5", "yield", why, False),
@@ -422,7 +422,7 @@ def test_one_conflict_is_said_once() -> None:
 
 
 @given(st.lists(st.tuples(st.sampled_from("abc"), st.floats(0.0, 1e6)), min_size=1, max_size=8))
-def test_the_terms_that_are_told_make_up_the_cost(terms: list[tuple[str, float]]) -> None:
+def test_the_listed_cost_terms_sum_to_the_cost(terms: list[tuple[str, float]]) -> None:
     total, worded = sum(value for _, value in terms), sum(value for _, value in main_terms(terms))
     assert abs(total - worded) <= len(terms) * max(NOISE, SHOWS * total)
     assert main_terms([(name, 1e-9 * value / 1e6) for name, value in terms]) == []
@@ -434,7 +434,7 @@ def test_the_terms_that_are_told_make_up_the_cost(terms: list[tuple[str, float]]
     ]
 
 
-def test_where_nothing_explains_it_no_cause_is_found() -> None:
+def test_unexplained_braking_has_no_cause() -> None:
     world = world_with()
     (said,) = sentences(why_of(world, braking(world)))
     assert said.startswith("Slows down; no cause found: at 10.0 m/s it would meet no road user")
@@ -475,7 +475,7 @@ def test_a_curve_is_a_cause_where_the_speed_is_too_much_for_it() -> None:
     assert kinds[CauseKind.CURVE].value > CURVE_MPS2
 
 
-def test_the_goal_is_a_cause_of_who_comes_to_rest_at_it() -> None:
+def test_the_goal_is_a_cause_of_a_stop_at_it() -> None:
     world = world_with(goal=Goal((square(27.0, 0.0, 4.0),)), speed=7.0)
     (cause,) = why_of(world, braking(world)).causes
     assert (cause.kind, cause.who) == (CauseKind.GOAL, "place")
@@ -509,14 +509,14 @@ def test_a_plan_in_reverse_does_not_stand(accel: float, action: Action) -> None:
 
 
 @pytest.mark.parametrize(("until", "kind"), [(2.0, CauseKind.BEGUN), (6.0, CauseKind.NONE)])
-def test_who_brakes_until_they_stand_does_not_let_go(until: float, kind: CauseKind) -> None:
+def test_a_plan_that_brakes_to_a_stop_does_not_release(until: float, kind: CauseKind) -> None:
     t = np.linspace(0.0, 8.0, 81)
     plan = straight_on(6.0 - np.minimum(t, until), np.where(t < until, -1.0, 0.0))
     (cause,) = why_of(world_with(speed=6.0), plan).causes
     assert cause.kind is kind
 
 
-def test_who_stands_would_meet_somebody_if_it_drove_off() -> None:
+def test_a_standing_plan_is_explained_by_an_agent_it_would_meet() -> None:
     world = world_with(track("queue", [0.0], [8.0], [0.0], static=True), speed=0.0)
     (said,) = sentences(why_of(world, braking(world)))
     assert (

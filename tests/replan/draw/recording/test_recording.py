@@ -275,7 +275,7 @@ def test_graphs_keep_their_units(closed: tuple[Drive, Scenario, Recording]) -> N
         assert scale[1] < 0.0 < scale[0]
 
 
-def test_everything_in_a_graph_lies_in_its_plot_area(recording: Recording) -> None:
+def test_graphs_lie_within_their_plot_area(recording: Recording) -> None:
     for entity in ("/graphs/sl", "/graphs/st"):
         scale = np.asarray(recording.static(entity, "Transform3D:scale").flatten())
         moved = np.asarray(recording.static(entity, "Transform3D:translation").flatten())
@@ -336,7 +336,7 @@ def test_lanes_of_states_change_when_the_plans_do(recording: Recording) -> None:
     assert labels == ["planned", " "]
 
 
-def test_why_tells_decisions_reasons_solvers_and_costs(recording: Recording) -> None:
+def test_the_why_page_has_decisions_reasons_solvers_and_costs(recording: Recording) -> None:
     pages = recording.column("/why", "TextDocument:text").flatten().to_pylist()
     assert "t = 8.00 s: slows down: yield" in pages[80]
     for words in ("Slows down for ped 7 (yield)", "in the path until 11.5 s"):
@@ -403,7 +403,7 @@ def bare(done: Drive, *, frames: int) -> Drive:
 
 
 @pytest.mark.parametrize("frames", [0, 1, 2, 30])
-def test_a_planner_may_tell_nothing(tmp_path: Path, frames: int) -> None:
+def test_a_planner_without_internals_is_recorded(tmp_path: Path, frames: int) -> None:
     done, world = drive(Mode.OPEN)
     recording = written(tmp_path, bare(done, frames=frames), world)
     assert not [entity for entity in recording.moving if entity.startswith("/graphs")]
@@ -419,7 +419,7 @@ def test_no_agents_and_no_metrics(tmp_path: Path) -> None:
     assert "/__properties/metrics" not in recording.still
 
 
-def test_agents_come_and_go(tmp_path: Path) -> None:
+def test_agents_are_drawn_only_while_they_exist(tmp_path: Path) -> None:
     done, world = drive()
     tracks = done.trace.agents
     moving = np.repeat(~tracks.static, np.diff(tracks.offsets))
@@ -432,7 +432,7 @@ def test_agents_come_and_go(tmp_path: Path) -> None:
     )
 
 
-def test_what_a_repair_removed_is_an_entity_of_its_own(tmp_path: Path) -> None:
+def test_removed_tracks_are_a_separate_entity(tmp_path: Path) -> None:
     done, world = drive()
     tracks = done.trace.agents
     keep = np.repeat(np.arange(len(tracks)) == 0, np.diff(tracks.offsets)) & (tracks.t <= 4.0)
@@ -520,7 +520,7 @@ def test_a_failed_writing_leaves_nothing_behind(
         write_recording(tmp_path / "file" / "some.rrd", done, world)
 
 
-def test_a_log_by_itself(tmp_path: Path) -> None:
+def test_a_log_is_recorded_without_a_drive(tmp_path: Path) -> None:
     world = scenario()
     write_log_recording(tmp_path / "log.rrd", world)
     recording = Recording(tmp_path / "log.rrd")
@@ -676,12 +676,12 @@ def test_the_road_of_the_sample_is_where_its_line_is() -> None:
 
 
 @pytest.mark.parametrize("colour", [*colours.DECISIONS.values(), colours.TICK, colours.GOAL])
-def test_words_are_read_on_dark_and_on_light_plates(colour: int) -> None:
+def test_label_colours_have_contrast_on_dark_and_light_plates(colour: int) -> None:
     words = colours.luminance(colours.of_words(colour)) + 0.05
     assert min(words / (0.012 + 0.05), (0.81 + 0.05) / words) >= 3.0
 
 
-def test_a_viewer_that_does_not_set_its_theme_is_said_in_time(tmp_path: Path) -> None:
+def test_a_viewer_that_does_not_set_its_theme_is_an_error_in_time(tmp_path: Path) -> None:
     hangs = tmp_path / "viewer"
     hangs.write_text("#!/bin/sh\nexec sleep 60\n", encoding="utf-8")
     hangs.chmod(0o755)

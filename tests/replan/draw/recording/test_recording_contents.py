@@ -57,9 +57,7 @@ def agents(count: int) -> Agents:
 
 
 @given(st.integers(0, 90), st.sampled_from([0.05, 0.1, 0.2, 0.5, 0.7]), st.integers(0, 3))
-def test_kept_predictions_are_those_of_the_frame_more_rarely(
-    steps: int, step: float, rows: int
-) -> None:
+def test_recorded_predictions_are_a_subset_of_the_frame(steps: int, step: float, rows: int) -> None:
     t = 3.0 + step * np.arange(steps + 1)
     x = np.arange(rows)[:, None] + t[None, :]
     some = Predictions(
@@ -145,7 +143,7 @@ def test_the_recording_draws_hypotheses_ghosts_and_the_sensor(
     assert drawn.tolist() == expected and max(expected) == 1
 
 
-def test_who_is_shown_and_is_not_there_is_drawn(sensed: Drive, tmp_path: Path) -> None:
+def test_a_false_detection_is_drawn(sensed: Drive, tmp_path: Path) -> None:
     """A perception of one's own may show false positives."""
     world = replace(CATALOGUE["paper/crossing_pedestrian"].scenario(), tracks=Tracks.empty())
     false = replace(sensed, trace=replace(sensed.trace, agents=Tracks.empty()))
@@ -182,7 +180,7 @@ def test_likelier_futures_are_brighter_and_far_ones_are_left_out(tmp_path: Path)
     assert alpha[0] > alpha[1] > 0
 
 
-def test_ground_truth_needs_no_ghost_but_of_those_that_are_carried_on() -> None:
+def test_ground_truth_draws_ghosts_of_extrapolated_agents_alone() -> None:
     done, _ = drive()
     trace = replace(done.trace, agents=_cut(done.trace, "car 12", 5.0))
     assert perceived_only(trace, 4.9).ids == ()
@@ -197,7 +195,7 @@ def _cut(trace: Trace, agent: str, end: float) -> Tracks:
     return tracks.taken((owner != tracks.ids.index(agent)) | (tracks.t <= end))
 
 
-def test_who_was_not_seen_is_named_with_the_distance() -> None:
+def test_an_undetected_agent_is_named_with_its_distance() -> None:
     done, _ = drive()
     trace = replace(done.trace, perceived=done.trace.agents)
     assert unseen(trace, 0.0) == []
@@ -239,7 +237,7 @@ def changing() -> Trace:
     return replace(done.trace, frames=tuple(frames))
 
 
-def test_a_change_of_lane_is_told_with_its_costs() -> None:
+def test_a_lane_change_is_described_with_its_costs() -> None:
     trace = changing()
     lines = [event for event in events(trace) if "changes lane" in event.words]
     assert [event.t for event in lines] == [2.0]
@@ -354,7 +352,7 @@ def test_a_log_without_rules_draws_none(tmp_path: Path) -> None:
     )
 
 
-def test_the_difference_of_a_drive_with_itself_is_nothing_and_turns_with_the_order() -> None:
+def test_the_difference_of_drives_is_antisymmetric() -> None:
     trace = drive()[0].trace
     other = replace(
         trace, ego=replace(trace.ego, x=trace.ego.x + 3.0, y=trace.ego.y - 4.0, v=trace.ego.v + 1.0)
@@ -368,7 +366,7 @@ def test_the_difference_of_a_drive_with_itself_is_nothing_and_turns_with_the_ord
 
 
 @pytest.mark.slow
-def test_both_recordings_are_in_one_with_the_place_where_they_part(tmp_path: Path) -> None:
+def test_a_pair_holds_both_recordings_and_their_first_difference(tmp_path: Path) -> None:
     done, world = drive()
     ego = done.trace.ego
     trace = replace(done.trace, ego=replace(ego, x=ego.x + np.where(ego.t > 3, 1.0, 0)))

@@ -35,7 +35,7 @@ def test_the_interval_is_that_of_scipy(n: int, data: st.DataObject) -> None:
     assert 0.0 <= low <= passed / n <= high <= 1.0
 
 
-def test_of_nothing_nothing_is_known() -> None:
+def test_the_interval_of_no_logs_is_0_to_1() -> None:
     assert wilson(0, 0) == (0.0, 1.0)
 
 
@@ -47,7 +47,7 @@ def said(*rows: tuple[str, str, str, str]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["log", "planner", "mode", "outcome"])
 
 
-def test_a_missing_or_crashed_log_counts_against_and_an_inconclusive_one_apart() -> None:
+def test_a_missing_or_crashed_log_counts_as_failed_and_an_inconclusive_log_apart() -> None:
     driven = drives(
         *(("a", *one) for one in ASKED), *(("b", *one) for one in ASKED), ("c", "dp_qp", "open")
     )
@@ -75,7 +75,7 @@ def test_a_missing_or_crashed_log_counts_against_and_an_inconclusive_one_apart()
 @pytest.mark.parametrize(
     "crashed", [("a", "dp_qp", "open"), ("a", "dp_qp", None), ("a", None, None)]
 )
-def test_a_drive_that_crashed_is_missing_whatever_its_gates_say(
+def test_a_crashed_drive_is_missing_with_any_outcome_of_its_gates(
     crashed: tuple[str, str | None, str | None],
 ) -> None:
     found = said(("a", "dp_qp", "open", "pass"), ("b", "dp_qp", "open", "pass"))
@@ -151,7 +151,7 @@ NOTHING_STANDS = standings(said(), drives(), [], [])
 @pytest.mark.parametrize(
     ("direction", "worst", "log"), [("higher", 1.0, "a"), ("lower", 4.0, "b"), ("none", np.nan, "")]
 )
-def test_the_worst_goes_by_the_direction_and_what_is_missing_is_counted(
+def test_the_worst_follows_the_direction_and_missing_values_are_counted(
     direction: str, worst: float, log: str
 ) -> None:
     found = groups(table(direction, {"a": 1.0, "b": 4.0, "c": np.nan}), NOTHING_STANDS, LABELS)

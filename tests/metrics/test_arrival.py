@@ -152,7 +152,7 @@ GOALS = {
 
 
 @pytest.mark.parametrize("name", GOALS)
-def test_a_goal_that_shows_nothing_is_named_and_inconclusive(name: str) -> None:
+def test_a_goal_without_evidence_is_named_and_inconclusive(name: str) -> None:
     regions, metric = GOALS[name]
     log = replace(STRAIGHT, goal=Goal(regions))
     at = first_arrival(log)

@@ -47,7 +47,7 @@ def test_the_size_of_pieces_changes_no_bit(
         pd.testing.assert_frame_equal(series, series_again, check_exact=True)
 
 
-def test_a_piece_holds_those_who_are_there(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_piece_holds_the_agents_present(monkeypatch: pytest.MonkeyPatch) -> None:
     tracks, t = catalogue.scenario("everyday/junction").tracks, np.arange(0.0, 30.0, 0.1)
     whole = others_at(tracks, t)
     monkeypatch.setattr(boxes, "MOST_CELLS", 100)
@@ -118,7 +118,7 @@ def test_a_box_at_the_start_and_a_static_one() -> None:
     assert len(without_phantoms(made.tracks, (cone,))) == 0
 
 
-def test_nothing_is_excused_in_a_log_that_was_made_nor_where_nobody_stands() -> None:
+def test_only_overlaps_in_recorded_logs_are_phantoms() -> None:
     box = jumping(5.0, 6.0)
     assert (
         phantoms(log(box, tags=("synthetic",)))
@@ -144,5 +144,5 @@ def test_nothing_is_excused_in_a_log_that_was_made_nor_where_nobody_stands() -> 
         ({"tags": ("recorded",), "ego": EGO.between(0.0, 0.0)}, True),
     ],
 )
-def test_what_counts_as_recorded(changes: dict[str, object], recorded: bool) -> None:
+def test_logs_that_count_as_recorded(changes: dict[str, object], recorded: bool) -> None:
     assert log(**changes).is_recorded is recorded

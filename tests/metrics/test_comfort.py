@@ -35,7 +35,9 @@ def braking(
 
 @pytest.mark.parametrize("start", [1.0, 4.0, 7.2])
 @pytest.mark.parametrize("step", [0.01, 0.02, 0.05])
-def test_a_brake_ramp_has_its_jerk_wherever_the_log_is_cut(start: float, step: float) -> None:
+def test_the_jerk_of_a_brake_ramp_does_not_depend_on_where_the_log_is_cut(
+    start: float, step: float
+) -> None:
     """Jerk 6 m/s3: nuPlan's filter reads 2.9 in the middle and 6.3 at the end."""
     table = judged(braking(start, 6.0, 3.0, step=step))
     assert table.loc["lon_jerk_state.max_abs", "value"] == pytest.approx(6.0)
@@ -129,7 +131,7 @@ def signal(a: np.ndarray, t: np.ndarray) -> pd.Series:
     return judged(along(t, 60.0 + 0.0 * t, a=a))["value"]
 
 
-def test_nuplans_filter_reads_what_nuplans_code_reads() -> None:
+def test_the_filter_agrees_with_the_code_of_nuplan() -> None:
     """At 10 Hz: a ramp of 6 m/s3 to -3 m/s2 is 2.91, or 6.27 where the log ends with it; a tap of
     -5 m/s2 for 0.3 s is 2.80; -3 to 2 m/s2 in 0.5 s is 4.84 along, and 1.63 of |a|."""
     t = grid(20.0, 0.1)

@@ -103,7 +103,7 @@ def test_the_interval_holds_the_mean_and_is_the_same_twice(deltas: list[float]) 
 
 
 @given(st.floats(-1e6, 1e6), st.floats(-1.0, 1.0))
-def test_noise_is_what_rounding_makes(value: float, share: float) -> None:
+def test_rounding_is_noise(value: float, share: float) -> None:
     assert noise(
         np.array([value]), np.array([value + share * 0.9e-9 + share * 0.9e-6 * value])
     ).all()
@@ -182,7 +182,7 @@ def test_both_sides_are_judged_by_the_same_gates_and_the_same_careful_driver() -
     assert list(found.flips["after"]) == ["inconclusive"] and said(found, NO_FLIPS) == ["pass"]
 
 
-def test_a_value_that_is_gone_is_named_and_no_delta() -> None:
+def test_a_lost_value_is_named_and_has_no_delta() -> None:
     found = of({"a1": 1.0, "a2": np.nan}, {"a1": np.nan, "a2": 0.1}, replace(GAP, optional=True))
     reasons = dict(zip(found.pairs["log"], found.pairs["reason"], strict=True))
     assert reasons == {
@@ -258,7 +258,7 @@ def test_significance_needs_the_logs_to_agree_and_to_be_enough() -> None:
         (GateRule(max_flips=0, planner="idm"), "inconclusive"),
     ],
 )
-def test_what_a_rule_asks(rule: GateRule, outcome: str) -> None:
+def test_each_rule_judges_its_change(rule: GateRule, outcome: str) -> None:
     found = of({"a1": 1.4, "a2": 2.0, "b1": 0.6}, {"a1": 0.4, "a2": 1.8, "b1": 1.1})
     assert said(found, rule) == [outcome]
 
@@ -270,7 +270,7 @@ def test_a_log_does_not_flip_a_gate_on_a_mean() -> None:
     assert said(of(*runs, replace(GAP, over="pass_share", min_share=0.5)), NO_FLIPS) == ["fail"]
 
 
-def test_noise_and_fragile_drives_flip_nothing() -> None:
+def test_noise_and_fragile_drives_cause_no_flip() -> None:
     near = {"a1": 0.5 + 1e-8}, {"a1": 0.5 - 1e-8}
     assert list(of(*near).flips["marginal"]) == [True] and said(of(*near), NO_FLIPS) == ["pass"]
     fragile = row("a1", 1.0, metric="ensemble.fragile")
@@ -323,7 +323,7 @@ def test_a_drive_in_which_the_planner_failed_is_missing() -> None:
     )
 
 
-def test_evidence_that_is_gone_is_no_pass() -> None:
+def test_lost_evidence_is_no_pass() -> None:
     logs = [f"a{i}" for i in range(20)]
     base, gone = dict.fromkeys(logs, 1.0), dict.fromkeys(logs[:3], np.nan)
     assert said(of(base, base | gone), NO_FLIPS) == ["inconclusive"]  # 3 of 20 without a value
@@ -374,7 +374,7 @@ def test_rules_and_gates_share_a_file(tmp_path: Path) -> None:
         ("max_flip = 0", "did you mean 'max_flips'"),
     ],
 )
-def test_a_rule_that_says_nothing_is_refused(tmp_path: Path, text: str, words: str) -> None:
+def test_a_rule_without_a_limit_is_refused(tmp_path: Path, text: str, words: str) -> None:
     file = tmp_path / "gates.toml"
     file.write_text(f"[[compare]]\n{text}\n")
     with pytest.raises(ConfigError, match="compare 1.*" + words):

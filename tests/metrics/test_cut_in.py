@@ -118,7 +118,7 @@ def test_a_cut_in_that_brakes_at_once_is_at_fault() -> None:
     assert hit(log_of(ego, follower(-8.0, 15.0))) == (ContactKind.CUT_IN, True)
 
 
-def test_forced_braking_is_what_the_follower_needs() -> None:
+def test_forced_braking_is_the_least_that_the_follower_needs() -> None:
     ego = changing(grid(12.0, 0.05), 10.0, 1.0)
     log = log_of(ego, follower(-16.0, 15.0))
     found = forced_braking.measure(drive(log), log)
@@ -137,7 +137,7 @@ def test_forced_braking_is_what_the_follower_needs() -> None:
 
 
 @given(st.floats(-2.0, 5.0), st.floats(0.0, 3.0))
-def test_what_a_follower_brakes_in_the_log_is_not_forced(logged: float, more: float) -> None:
+def test_braking_of_a_follower_in_the_log_is_not_forced(logged: float, more: float) -> None:
     def behind(x: float, decel: float) -> tuple:
         def motion(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             u = np.clip(t - 4.0, 0.0, 1.0)

@@ -88,7 +88,7 @@ def test_solver_iterations_by_stage(mode: Mode) -> None:
     assert table.loc["solver_unsolved.count", "reason"] == "speed: max iterations"
 
 
-def test_without_solver_reports_nothing_is_claimed() -> None:
+def test_without_solver_reports_the_effort_is_unavailable() -> None:
     table = judged(frames=planned((), ()))
     for name in ("qp_iterations.max", "solver_unsolved.count"):
         assert table.loc[name, "reason"] == "the plans hold no solver reports"

@@ -130,7 +130,7 @@ def test_post_encroachment_time_at_a_crossing(start: float, part: str, word: str
     assert not table.loc[f"pet.{other}.min", "available"]
 
 
-def test_a_pedestrian_crosses_whatever_the_boxs_heading() -> None:
+def test_a_pedestrian_crosses_with_any_heading_of_the_box() -> None:
     """0.6 m, 1 m/s from y = -3, in the band (0.805 + 0.3) from 1.895 s on.
 
     The tail is past 10.3 m after 1.12 s.
@@ -140,7 +140,7 @@ def test_a_pedestrian_crosses_whatever_the_boxs_heading() -> None:
     assert found["reason"] == "pedestrian p second"
 
 
-def test_who_follows_has_a_post_encroachment_time_and_does_not_cross() -> None:
+def test_a_follower_has_a_post_encroachment_time_and_does_not_cross() -> None:
     """A lead 20 m ahead at the same 10 m/s leaves each place 2 s before the ego is there."""
     table = judged(world(10.0, car(NOSE + 22.25, 0.0, 10.0)))
     assert table.loc["pet.ego_second.min", "value"] == pytest.approx(2.0, abs=0.11)

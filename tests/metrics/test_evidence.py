@@ -191,7 +191,7 @@ def test_at_low_speed_a_cars_length_is_and_across_a_lanes_width() -> None:
     assert rows.loc["divergence_weak.from", "reason"] == "the ego across its way"
 
 
-def test_who_is_not_where_the_log_has_them_makes_it_weak_and_is_counted() -> None:
+def test_displaced_road_users_weaken_the_replay_and_are_counted() -> None:
     slow, back = (
         shifted(LOG.tracks, "b", 3.0, 0.6),
         replace(drive(LOG), agents=shifted(LOG.tracks, "b", 3.0, 0.4)),
@@ -210,7 +210,7 @@ def test_who_is_not_where_the_log_has_them_makes_it_weak_and_is_counted() -> Non
     assert table(gone, LOG).loc["displaced.count", "value"] == 2.0
 
 
-def test_a_log_of_a_start_state_alone_has_nothing_to_part_from() -> None:
+def test_a_log_with_one_state_has_no_divergence() -> None:
     start = replace(
         LOG,
         ego=Trajectory(
@@ -223,7 +223,7 @@ def test_a_log_of_a_start_state_alone_has_nothing_to_part_from() -> None:
     assert rows.loc["displaced.count", "available"]
 
 
-def test_after_the_logs_drive_nothing_is_said_of_the_ego() -> None:
+def test_divergence_of_the_ego_ends_with_the_logged_drive() -> None:
     short = replace(LOG, ego=along(grid(4.0), 10.0))
     rows = table(drive(LOG, along(T, 8.0)), short)
     assert (

@@ -69,7 +69,7 @@ def at(log: Scenario, name: str, t: float) -> float:
     return float(rows["value"].iloc[0])
 
 
-def test_the_lead_is_the_nearest_in_the_band_and_not_who_is_beside_behind_or_coming() -> None:
+def test_the_lead_is_the_nearest_in_the_band_and_not_beside_behind_or_oncoming() -> None:
     """Band: 0.805 m to each side.
 
     A car 1.8 m wide at y = 1.70 reaches to 0.80, at 1.71 only to 0.81.
@@ -108,7 +108,7 @@ def test_the_path_bends_with_the_ego(kappa: float, s: float, aside: float) -> No
     assert gap == pytest.approx(max(s - 0.01 / scale - NOSE, 0.0), abs=2e-3)
 
 
-def test_who_crosses_is_a_lead_while_in_the_band() -> None:
+def test_a_crossing_road_user_is_a_lead_while_in_the_band() -> None:
     """0.6 m wide, 1 m/s from y = -2: reaches -0.805 after (2 - 0.805 - 0.3) / 1 = 0.895 s, leaves
     after 3.105 s.
     """
@@ -193,7 +193,7 @@ def test_the_following_gap_of_r157() -> None:
     ],
     ids=["standing", "pedestrian", "crossing"],
 )
-def test_who_is_not_followed(agent: Agent) -> None:
+def test_pedestrians_oncoming_and_crossing_road_users_are_not_followed(agent: Agent) -> None:
     row = evaluate(drive(log := world(5.0, agent, seconds=0.5)), log, metrics=MINE).set_index(
         "metric"
     )

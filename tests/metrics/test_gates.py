@@ -60,7 +60,7 @@ def test_over_the_mean_only_the_mean_must(values: list[float], low: float) -> No
     assert (found.outcome is PASS) == (found.value >= low)
 
 
-def test_a_failure_names_worst_log_value_time_planner_and_whom() -> None:
+def test_a_failure_names_worst_log_value_time_planner_and_road_user() -> None:
     found = verdict(AT_LEAST, table(row("a", 0.31), row("b", 0.12, time_s=1.5), row("c", 2.0)))
     assert (found.outcome, found.planner, found.mode, found.log) == (FAIL, "dp_qp", "closed", "b")
     assert (found.value, found.time_s) == (0.12, 1.5)
@@ -92,7 +92,7 @@ def test_nothing_to_judge_is_not_a_pass() -> None:
     )
 
 
-def test_missing_values_are_said_and_bounded() -> None:
+def test_missing_values_are_counted_and_bounded() -> None:
     rows = table(*(row(f"log{i}", np.nan if i < 2 else 1.0) for i in range(20)))
     found = verdict(AT_LEAST, rows)
     assert found.outcome is PASS
@@ -105,7 +105,7 @@ def test_missing_values_are_said_and_bounded() -> None:
 
 
 @given(st.permutations([-1e6, np.nan, -5.0, 3.0]))
-def test_a_value_that_is_no_number_is_none(values: list[float]) -> None:
+def test_nan_is_a_missing_value(values: list[float]) -> None:
     rows = table(
         *(row(f"log{i}", value, available=True, reason="") for i, value in enumerate(values))
     )
@@ -266,7 +266,7 @@ def test_a_verdict_is_the_same_whichever_other_planners_ran() -> None:
     assert judged(*mine, *known) == judged(*mine, *others, *known)
 
 
-def test_what_can_be_excused_and_by_what() -> None:
+def test_each_reference_excuses_the_gates_of_its_groups() -> None:
     def judged(metric: str, *rows: dict[str, object]) -> Outcome:
         mine = [
             each | {"metric": metric}
@@ -316,7 +316,9 @@ def test_nothing_excuses_a_drive_in_which_the_planner_failed(metric: str) -> Non
     ("mine", "careful", "outcome"),
     [("", "", FAIL), ("car 7a", "car 7b", FAIL), ("car 7a", "car 7a", INCONCLUSIVE)],
 )
-def test_hard_braking_for_nothing_is_not_excused(mine: str, careful: str, outcome: Outcome) -> None:
+def test_hard_braking_without_a_road_user_is_not_excused(
+    mine: str, careful: str, outcome: Outcome
+) -> None:
     """At 3 s, where the careful driver brakes as hard: for nothing, for another car or the same by
     the whole id.
     """
@@ -342,7 +344,7 @@ def test_hard_braking_for_nothing_is_not_excused(mine: str, careful: str, outcom
         ({"reason": ""}, (), FAIL),
     ],
 )
-def test_braking_hard_for_whom_even_the_careful_driver_hits_is_no_evidence(
+def test_hard_braking_for_a_road_user_that_the_careful_driver_hits_is_excused(
     changes: dict[str, object], others: tuple[dict[str, object], ...], outcome: Outcome
 ) -> None:
     gate, name = (
@@ -356,7 +358,7 @@ def test_braking_hard_for_whom_even_the_careful_driver_hits_is_no_evidence(
     assert verdict(gate, table(mine, careful, collision("careful", 0.0), *others)).outcome is FAIL
 
 
-def test_a_goal_is_missed_where_a_reference_drive_reaches_it_whoever_else_ran() -> None:
+def test_a_missed_goal_that_a_reference_reaches_fails_with_any_other_planner_in_the_run() -> None:
     gate = Gate("goal.final", min=1, reachable=True, optional=True)
 
     def judged(value: float, *others: dict[str, object], **references: float) -> Outcome:
@@ -410,7 +412,7 @@ def test_a_pass_needs_evidence_and_a_broken_bound_does_not(
     )
 
 
-def test_what_is_not_asked_is_counted_and_can_be_gated() -> None:
+def test_gates_not_asked_are_counted_and_can_be_gated() -> None:
     rows = table(
         row("a", 0.7), row("a", np.nan, metric="ttc.min"), row("a", np.nan, metric="asked.share")
     )
@@ -426,7 +428,7 @@ def test_what_is_not_asked_is_counted_and_can_be_gated() -> None:
     assert worst([Outcome.NOT_ASKED]) is INCONCLUSIVE
 
 
-def test_what_each_log_says_is_a_table() -> None:
+def test_outcomes_of_each_log_are_a_table() -> None:
     found = outcomes(verdicts(AT_LEAST, table(row("a", 0.7), row("b", 0.1), row("c", np.nan))))
     assert found[["log", "outcome", "reason"]].values.tolist() == [
         ["a", "pass", "car 7"],
@@ -574,7 +576,7 @@ def test_a_file_is_read(tmp_path: Path) -> None:
         ("[[gate]\n", "not TOML"),
     ],
 )
-def test_a_bad_file_is_one_line_that_names_it(tmp_path: Path, text: str, message: str) -> None:
+def test_a_bad_file_gives_one_line_with_its_name(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(ConfigError, match=message) as error:
         gates(tmp_path, text)
     assert "gates.toml" in str(error.value)
@@ -587,7 +589,7 @@ def test_gates_of_safety_are_those_of_the_default() -> None:
     assert len(safety) > 15 and set(safety) < set(every)
 
 
-def test_gates_on_metrics_of_ones_own(tmp_path: Path) -> None:
+def test_gates_on_metrics_of_users(tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text('[[gate]]\nmetric = "mine.min"\nmin = 0\n')
     mine = {"mine": replace(METRICS["gap"], name="mine")}
     assert len(load_gates(tmp_path / "mine.toml", metrics=mine).gates) == 1

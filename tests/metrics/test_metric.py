@@ -150,7 +150,7 @@ def test_series_are_the_steps_behind_the_table() -> None:
     assert speed["value"].mean() == table.set_index("metric").loc["speed.mean", "value"]
 
 
-def test_a_metric_of_ones_own() -> None:
+def test_a_metric_of_a_user_has_rows_and_reasons() -> None:
     def nothing(trace: Trace, scenario: Scenario) -> Measured:
         return Unavailable("not today")
 
@@ -204,7 +204,7 @@ def test_only_the_newest_large_results_are_kept() -> None:
     assert asked == [1, 2, 3, 1], "3 put 1 out, and nothing else was asked for anew but 1"
 
 
-def test_nothing_is_kept_of_a_drive_that_is_gone() -> None:
+def test_a_deleted_drive_frees_its_cached_results() -> None:
     @once
     def found(drive: Drive) -> list[int]:
         return held
@@ -228,7 +228,7 @@ def said(*words: str) -> str:
     return result.output
 
 
-def test_the_page_is_what_the_command_prints() -> None:
+def test_the_page_equals_the_output_of_the_command() -> None:
     assert PAGE.read_text() == said("--markdown"), "replan metrics --markdown > docs/metrics.md"
 
 
@@ -250,7 +250,7 @@ def test_a_metrics_page_says_all_about_it(metric: Metric) -> None:
     assert not any(mark in metric.formula for mark in "`\n")
 
 
-def test_what_needs_nothing_is_always_available() -> None:
+def test_metrics_without_needs_are_always_available() -> None:
     log = scenario(along(np.zeros(1), 10.0), duration=5.0)
     free = {metric.name: metric for metric in METRICS.values() if not metric.needs}
     assert {"collision", "completed", "distance"} <= free.keys()
@@ -287,7 +287,7 @@ def _drive(log: Scenario, mode: Mode, states: int, frames: int) -> Trace:
 
 @pytest.mark.parametrize("mode", [Mode.OPEN, Mode.CLOSED])
 @pytest.mark.parametrize("log", LOGS.values(), ids=LOGS.keys())
-def test_all_metrics_of_a_drive_that_hardly_is_one_have_a_value_or_a_reason(
+def test_all_metrics_of_the_shortest_drives_have_a_value_or_a_reason(
     log: Scenario, mode: Mode
 ) -> None:
     metrics = [metric for metric in METRICS.values() if mode in metric.modes]

@@ -58,7 +58,7 @@ def test_a_drive_at_constant_speed_is_not_charged() -> None:
 
 
 @pytest.mark.parametrize("mirror", [False, True])
-def test_a_full_stop_on_a_free_road_is_needless_wherever_the_road_leads(mirror: bool) -> None:
+def test_a_full_stop_on_a_free_road_is_needless_in_any_direction(mirror: bool) -> None:
     world, ego = (
         moved(LOG, 2.0, 50.0, -900.0, mirror=mirror),
         moved_ego(STOP, 2.0, 50.0, -900.0, mirror=mirror),
@@ -129,7 +129,7 @@ def test_a_stop_with_a_reason_is_not_charged(what: str) -> None:
         ),
     ],
 )
-def test_what_is_no_reason_is_none(log: Scenario) -> None:
+def test_irrelevant_road_users_and_rules_are_no_reason(log: Scenario) -> None:
     lost, stood, _ = measured(log, STOP)
     assert lost > 5.0
     assert stood > 3.0
@@ -207,7 +207,7 @@ def test_mild_braking_is_no_episode_and_two_far_apart_are_two() -> None:
         (240.0, 0.0, 0.0, 1.0),
     ],
 )
-def test_braking_is_false_where_nobody_comes_near(
+def test_braking_is_false_without_a_road_user_near(
     x: float, y: float, vy: float, false: float, *, mirror: bool
 ) -> None:
     """At 8 s the ego is at 96 m and has 60 m ahead in 5 s."""
@@ -219,9 +219,7 @@ def test_braking_is_false_where_nobody_comes_near(
     assert measured_row(world, ego, "false_braking.rate") == false
 
 
-def test_who_does_not_brake_for_one_who_stands_ahead_misses_it_and_who_does_in_time_hardly() -> (
-    None
-):
+def test_missed_braking_falls_with_the_braking_before_a_standing_road_user() -> None:
     t = grid(20.0, 0.1)
     v = np.clip(12.0 - 2.0 * np.maximum(t - 2.0, 0.0), 0.0, 12.0)
     stop = along(t, v, a=np.gradient(v, t))

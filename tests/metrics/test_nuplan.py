@@ -56,13 +56,13 @@ def compared(folder: Path, mine: str, logs: object) -> pd.DataFrame:
     return pd.DataFrame(rows).T
 
 
-def test_all_parts_are_those_of_the_devkit_on_the_catalogue() -> None:
+def test_all_parts_equal_those_of_the_devkit_on_the_catalogue() -> None:
     differences = compared(VALUES, "", cache(lambda name: catalogue(BUILT_IN[name])))
     assert len(differences) == 42
     assert differences.to_numpy().max() < 1e-6
 
 
-def test_all_parts_are_those_of_the_devkit_on_recorded_logs(shared_data: Path) -> None:
+def test_all_parts_equal_those_of_the_devkit_on_recorded_logs(shared_data: Path) -> None:
     if not (shared_data / "leaderboards").is_dir():
         pytest.skip("no values for recorded logs")
     read = cache(lambda name: read_log(shared_data / "commonroad" / f"{name}.xml"))

@@ -98,7 +98,7 @@ def test_short_plans_are_seen_in_the_share_and_the_logs_end_is_not() -> None:
     )
 
 
-def test_one_good_plan_among_many_of_one_state_is_no_good_average() -> None:
+def test_a_mean_over_few_plans_shows_its_share() -> None:
     """Row 12: of 85 frames one has a value. Its miss rate is no 0 either."""
     frames = list(plans(LOG.ego, FRAMES[:85], 0.05))
     assert not table(LOG, tuple(frames)).loc["miss.1s.rate", "available"]

@@ -38,7 +38,7 @@ def test_progress_is_the_share_of_the_logs_way(v: float) -> None:
 
 
 @given(st.floats(0.5, 5.0))
-def test_a_drive_that_ends_early_has_made_so_much_of_the_whole(seconds: float) -> None:
+def test_progress_of_a_short_drive_is_relative_to_the_whole_log(seconds: float) -> None:
     """Row 13: 1 s of 10 was 1.0."""
     log = scenario(along(grid(10.0, 0.1), 10.0))
     table = judged(log, along(grid(seconds), 10.0), end=EndReason.COLLISION)
@@ -107,7 +107,7 @@ def test_laps_count_in_full_however_short_they_are(radius: float, step: float) -
     )
 
 
-def test_what_hardly_moves_without_lanes_is_no_yardstick() -> None:
+def test_a_short_drive_without_lanes_is_no_yardstick() -> None:
     """A planner that drove 400 m where the log's driver went 2 m had done 20801 % of the way."""
     for way, asked in ((2.5, False), (8.0, True)):
         log = scenario(along(grid(10.0, 0.1), way / 10.0))
@@ -170,7 +170,7 @@ def test_reaching_the_goal_before_the_log_does_is_enough() -> None:
     )
 
 
-def test_a_log_that_stands_still_asks_for_nothing() -> None:
+def test_a_standing_log_is_no_yardstick_of_progress() -> None:
     still = scenario(along(grid(5.0, 0.1), 0.0))
     for ego in (still.ego, along(grid(5.0), 0.2)):
         table = judged(still, ego)["value"]
@@ -343,7 +343,7 @@ def test_an_excess_at_the_start_is_charged_unless_it_comes_down_comfortably(
     assert (table.loc["speed_excess.time_above_1mps", "value"] > 1.0) == (charged > 0.0)
 
 
-def test_an_excess_that_comes_later_is_charged_whatever_the_start_was() -> None:
+def test_a_later_excess_is_charged_with_any_start() -> None:
     t = grid(12.0, 0.1)
     again = along(t, np.interp(t, [0.0, 4.0, 6.0, 8.0, 12.0], [13.0, 10.0, 10.0, 13.0, 13.0]))
     assert judged(scenario(again, road=straight_road(limit=10.0))).loc[
@@ -403,7 +403,7 @@ AHEAD = np.array([[40.0, -2.0], [50.0, -2.0], [50.0, 2.0], [40.0, 2.0]])
         (Goal((AHEAD,), v=(0.0, 5.0), yaw=(1.0, 2.0)), "speed and heading"),
     ],
 )
-def test_a_missed_goal_tells_what_was_missed(goal: Goal, missed: str) -> None:
+def test_a_missed_goal_names_its_unmet_conditions(goal: Goal, missed: str) -> None:
     log = replace(scenario(along(grid(12.0, 0.1), 10.0), road=straight_road()), goal=goal)
     series = METRICS["goal"].measure(drive(log), log)
     assert isinstance(series, Series)

@@ -73,7 +73,7 @@ def stop(plan: Trajectory) -> Trajectory:
 
 
 @pytest.mark.parametrize("mode", Mode)
-def test_plans_that_are_driven_break_nothing(mode: Mode) -> None:
+def test_driven_plans_break_no_bound(mode: Mode) -> None:
     value = judged(frames(), mode=mode)["value"]
     for row in ("plan_score.mean", "plan_score.min", "plan_progress.min"):
         assert value[row] == pytest.approx(1.0), row
@@ -101,7 +101,7 @@ def test_the_end_of_a_plan_is_judged_at_any_rate(period: float) -> None:
 
 
 @pytest.mark.parametrize("mode", Mode)
-def test_a_plan_may_change_because_of_what_appears(mode: Mode) -> None:
+def test_two_short_changes_of_plans_break_no_gate(mode: Mode) -> None:
     """The first 2 s of plans go straight on, then 1 s of them stop, then they go on: two changes in
     12 s.
     """
@@ -140,7 +140,7 @@ def test_a_plan_is_off_the_road_by_what_it_adds() -> None:
     assert judged(frames(), off).loc["plan_off_road.max", "value"] == 0.0
 
 
-def test_what_is_not_driven_yet_is_not_held_against_a_plan() -> None:
+def test_a_plan_is_not_judged_beyond_the_drive() -> None:
     short = replace(LOG, ego=LOG.ego.between(0.0, 2.9))
     made = tuple(frame for frame in frames(bend=lambda i: aside(8.0)) if frame.t <= 2.9)
     table = judged(made, short)

@@ -247,7 +247,7 @@ def crossing(v: float, at: float, speed: float, begins: float, *, sideways: bool
 
 @settings(max_examples=60)
 @given(st.floats(6.0, 16.0), st.floats(40.0, 80.0), st.floats(1.5, 6.0), st.floats(0.0, 4.0))
-def test_who_crosses_is_in_the_way_for_their_length_alone(
+def test_a_crossing_road_user_is_in_the_band_for_its_extent(
     v: float, at: float, speed: float, begins: float
 ) -> None:
     """The same box on the same way gets the same verdict, whichever of its sides is called its
@@ -260,14 +260,14 @@ def test_who_crosses_is_in_the_way_for_their_length_alone(
     assert [long.brakes, long.margin] == pytest.approx([wide.brakes, wide.margin], nan_ok=True)
 
 
-def test_nothing_to_avoid_is_not_applicable() -> None:
+def test_a_drive_without_a_hazard_is_not_applicable() -> None:
     lead = track("lead", T, 20.0 + 10.0 * T, np.zeros(len(T)))
     for made in (log(10.0), log(10.0, lead), log(0.0, standing(5.0))):
         for driver in (careful_driver, fuzzy_driver):
             assert driver(made, LINE).outcome is Avoidability.NOT_APPLICABLE
 
 
-def test_who_runs_into_the_driver_from_behind_does_not_count() -> None:
+def test_a_hit_from_behind_does_not_count() -> None:
     follower = track("follower", T, -12.0 + 14.0 * T, np.zeros(len(T)))
     assert careful_driver(log(10.0, follower), LINE).outcome is Avoidability.NOT_APPLICABLE
     braking = careful_driver(log(10.0, follower, standing(80.0)), LINE)
@@ -285,7 +285,7 @@ def test_the_line_and_the_verdicts_come_from_replay() -> None:
     assert nobody.outcome is Avoidability.NOT_APPLICABLE and not nobody.agent
 
 
-def test_what_a_log_says_of_itself_is_not_believed(tmp_path: Path) -> None:
+def test_verdicts_stored_in_a_log_are_computed_anew(tmp_path: Path) -> None:
     made = log(15.0, standing(100.0))
     forged = {
         name: DriverVerdict(name, Avoidability.UNAVOIDABLE, "because") for name in ("cc", "hero")
@@ -313,7 +313,7 @@ def test_the_verdict_is_on_the_car_that_is_driven() -> None:
 
 @settings(max_examples=20)
 @given(st.floats(6.0, 22.0), st.floats(10.0, 80.0))
-def test_the_margin_before_an_obstacle_is_the_gap_that_is_left(v: float, gap: float) -> None:
+def test_the_margin_before_an_obstacle_is_the_remaining_gap(v: float, gap: float) -> None:
     """Avoided: where it stands.
 
     Not avoided: how far it would have come into it, at most as deep as the boxes are.

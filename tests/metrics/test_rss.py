@@ -77,7 +77,7 @@ def test_the_share_of_dangerous_time() -> None:
     assert found.loc["rss_margin.min", "reason"] == "car 7"
 
 
-def test_those_behind_keep_their_own_distance_and_without_others_there_is_no_value() -> None:
+def test_agents_behind_do_not_count_and_without_others_rss_has_no_value() -> None:
     behind = table(world(10.0, car(-NOSE - 8.0, 15.0), seconds=0.5))
     assert not behind.loc["rss_margin.min", "available"]
     assert (
@@ -87,7 +87,7 @@ def test_those_behind_keep_their_own_distance_and_without_others_there_is_no_val
     assert not standing.loc["rss_margin.min", "available"]
 
 
-def test_who_does_not_brake_responds_improperly_from_rho_on() -> None:
+def test_an_ego_that_does_not_brake_responds_improperly_from_rho_on() -> None:
     """In danger from the start: from 0.75 s on, on the grid from 0.8 s, to the end at 1.5 s."""
     log = world(15.0, car(20.0, 12.0), seconds=1.5)
     found = steps(log, "rss_improper")

@@ -85,7 +85,7 @@ def value(log: Scenario, name: str, trace: Trace | None = None) -> float:
 # what is not there --------------------------------------------------------------------------------
 
 
-def test_a_log_without_rules_has_none_of_the_metrics_and_is_told_why() -> None:
+def test_a_log_without_rules_has_reasons_in_place_of_the_metrics() -> None:
     found = rows(scenario(along(grid(3.0), 10.0)))
     reasons = {
         "red_light.count": "the log shows no traffic light with a stop line",
@@ -135,7 +135,7 @@ def test_other_colours_are_not_run(colour: Colour) -> None:
     assert value(log, "red_light.count") == 0.0
 
 
-def test_who_stops_before_the_line_or_starts_behind_it_runs_nothing() -> None:
+def test_a_stop_before_the_line_and_a_start_behind_it_are_no_crossings() -> None:
     t = grid(12.0)
     stops = along(t, np.maximum(10.0 - 1.2 * t, 0.0))
     for ego in (stops, along(t, 10.0, x=LINE_X)):
@@ -223,14 +223,14 @@ def test_a_pedestrian_on_the_egos_half(y: float, vy: float, count: float) -> Non
     assert value(log, "crosswalk.count") == count
 
 
-def test_beside_the_crosswalk_and_without_pedestrians_nothing_is_failed() -> None:
+def test_pedestrians_beside_the_crosswalk_do_not_count() -> None:
     walk = ("p", PED, (0.5, 0.5), moving(70.0, 0.0, 0.0, 0.0, 0.0))
     for agents in ([walk], []):
         log = scenario(along(grid(8.0), 10.0), agents, road=lined(crosswalks=(WALK,)))
         assert value(log, "crosswalk.count") == 0.0
 
 
-def test_who_waits_before_the_crosswalk_fails_nothing() -> None:
+def test_an_ego_that_waits_before_the_crosswalk_fails_no_pedestrian() -> None:
     t = grid(20.0)
     v = np.where(t < 5.0, 10.0 - 2.0 * t, np.where(t < 12.0, 0.0, 2.0 * (t - 12.0)))
     walk = ("p", PED, (0.5, 0.5), moving(62.0, -10.0, 0.0, 1.0, 1.57))
@@ -273,7 +273,7 @@ def test_the_gap_is_the_time_between_leaving_and_taking(delay: float) -> None:
     )
 
 
-def test_who_goes_second_has_left_the_others_their_way() -> None:
+def test_an_ego_that_goes_second_yields() -> None:
     found = rows(met(-1.0))
     assert not found.available["priority_gap.min"]
     assert (
@@ -282,7 +282,7 @@ def test_who_goes_second_has_left_the_others_their_way() -> None:
     assert found.value["priority_gap.below_1s"] == 0.0
 
 
-def test_who_need_not_yield_may_go_first() -> None:
+def test_an_ego_with_priority_may_go_first() -> None:
     log = met(1.0)
     lanes = {i: replace(each, yields_to=()) for i, each in log.road.lanes.items()}
     assert not rows(replace(log, road=replace(log.road, lanes=lanes))).available["priority_gap.min"]
@@ -381,7 +381,7 @@ def test_the_gap_is_the_time_until_the_pedestrian_takes_the_place(gap: float) ->
         assert (table.value[f"yielding.{part}.{name}"] > 0.0) == (found < bound - 1e-6)
 
 
-def test_the_recorded_driver_and_who_is_far_ahead_take_nothing() -> None:
+def test_the_recorded_driver_and_an_ego_far_ahead_take_no_priority() -> None:
     log = crossing_without_a_map()
     for ego in (log.ego, after(4.0)):
         table = judged(log, ego)
@@ -389,7 +389,7 @@ def test_the_recorded_driver_and_who_is_far_ahead_take_nothing() -> None:
         assert table.value["yielding.recorded.below_1500ms"] == 0.0
 
 
-def test_it_is_asked_only_where_someone_was_let_go_first() -> None:
+def test_yielding_is_measured_where_the_recorded_driver_let_a_road_user_go_first() -> None:
     log = crossing_without_a_map()
     alone = replace(log, tracks=tracks())
     assert (

@@ -53,7 +53,7 @@ def judged(log: Scenario, **changes: object) -> pd.DataFrame:
 # the others on a grid -----------------------------------------------------------------------------
 
 
-def test_others_on_a_grid_are_the_truth_at_each_time() -> None:
+def test_others_on_a_grid_equal_the_truth_at_each_time() -> None:
     rng = np.random.default_rng(5)
     counts = np.array([1, 4, 9, 2])
     m = int(counts.sum())
@@ -144,7 +144,7 @@ def test_kinds_of_collision(
 @pytest.mark.parametrize(
     ("kind", "stops"), [(AgentKind.OBJECT, False), (AgentKind.CAR, True), (AgentKind.OBJECT, True)]
 )
-def test_who_runs_into_a_slowing_ego_from_behind_did_not_stand(
+def test_a_hit_from_behind_on_a_slowing_ego_is_no_stopped_track(
     kind: AgentKind, stops: bool
 ) -> None:
     """Neither one whose kind a detector does not know, nor one that stops 2 cm behind, where its
@@ -164,7 +164,7 @@ def test_who_runs_into_a_slowing_ego_from_behind_did_not_stand(
     assert evaluate(planned, log).set_index("metric").loc["plan_collision.rate", "value"] == 0.0
 
 
-def test_who_stands_behind_is_hit_by_an_ego_in_reverse() -> None:
+def test_an_ego_in_reverse_hits_a_standing_road_user_at_fault() -> None:
     log = world(-3.0, car(-12.0, 0.0, 0.0, yaw=0.0))
     (contact,) = contacts(drive(log), log)
     assert (contact.kind, contact.at_fault) == (ContactKind.STOPPED_TRACK, True)
@@ -189,7 +189,7 @@ def test_a_collision_from_the_side_is_at_fault_outside_ones_lane() -> None:
         assert (contact.kind, contact.at_fault) == (ContactKind.LATERAL, fault)
 
 
-def test_who_appears_where_the_ego_is_was_not_hit() -> None:
+def test_a_road_user_that_appears_at_the_ego_is_not_hit_at_fault() -> None:
     log = world(0.5, car(1.0, 0.5, 0.5))
     (contact,) = contacts(drive(log), log)
     assert (contact.step, contact.kind, contact.at_fault) == (0, ContactKind.FROM_START, False)
@@ -272,7 +272,7 @@ def test_a_pedestrian_who_crosses_counts_with_the_velocity_vector() -> None:
     assert not judged(world(10.0, away, seconds=0.5)).loc["ttc.min", "available"]
 
 
-def test_those_behind_and_a_standing_ego_have_no_ttc() -> None:
+def test_agents_behind_and_a_standing_ego_have_no_ttc() -> None:
     assert not judged(world(5.0, car(-20.0, 0.0, 10.0), seconds=1.0)).loc["ttc.min", "available"]
     assert not judged(world(0.0, car(20.0, 0.0, -10.0), seconds=1.0)).loc["ttc.min", "available"]
 
@@ -318,7 +318,9 @@ def curve(
 
 @pytest.mark.parametrize("rate", [5.0, 10.0, 20.0])
 @pytest.mark.parametrize("radius", [12.0, -12.0])
-def test_who_turns_is_on_no_course_to_those_in_the_next_lane(radius: float, rate: float) -> None:
+def test_a_turning_ego_is_on_no_course_to_agents_in_the_next_lane(
+    radius: float, rate: float
+) -> None:
     """6 m/s on 12 m towards a car that comes with 5 m/s in the next lane outside: straight on they
     touch in less than 0.95 s. The turned, shifted and delayed scene has the same times."""
     log = curve(radius, 6.0, -5.0, 3.3, 0.9, rate)
@@ -342,7 +344,9 @@ def test_who_turns_is_on_no_course_to_those_in_the_next_lane(radius: float, rate
 
 @given(st.floats(25.0, 80.0), st.booleans(), st.floats(5.0, 9.0), st.floats(4.0, 6.0))
 @settings(max_examples=20)
-def test_who_stands_on_the_egos_arc_counts(radius: float, left: bool, v: float, gap: float) -> None:
+def test_an_obstacle_on_the_arc_of_the_ego_counts(
+    radius: float, left: bool, v: float, gap: float
+) -> None:
     """The distance along the circle over the speed, up to the corner that comes first."""
     begin = (gap + NOSE + 2.25) / radius
     log = curve(radius if left else -radius, v, 1e-9, 0.0, begin)
@@ -374,7 +378,7 @@ def test_ttc_is_never_less_than_the_straight_time(seed: int) -> None:
     assert (~(least < straight) | (least == 0.0)).all() and (np.isfinite(least) == (who >= 0)).all()
 
 
-def test_who_runs_into_the_ego_has_no_ttc_from_then_on() -> None:
+def test_an_agent_has_no_ttc_after_its_contact() -> None:
     """A faster car in the next lane drives into the ego's rear corner, not behind by nuPlan's 150
     degrees, and goes on beside it: no fault, no TTC. nuPlan never asks: it is not ahead, and the
     ego keeps its lane."""
@@ -588,7 +592,7 @@ def test_plans_that_keep_away_and_plans_against_the_future_as_it_was() -> None:
     assert opened(comes).loc["plan_collision.rate", "value"] == 1.0
 
 
-def test_whom_the_ego_touches_already_is_not_the_plans_doing() -> None:
+def test_a_touch_at_the_start_of_a_plan_is_not_its_fault() -> None:
     beside = scenario(along(grid(9.0), 10.0), [car(1.0, 1.0, 10.0)])
     assert opened(beside).loc["plan_collision.rate", "value"] == 0.0
 

@@ -63,7 +63,7 @@ def test_parts_that_lose_marks() -> None:
     assert slow["nuplan_closed"] == 0.0  # 0.19 of the way is no progress: the multiplier
 
 
-def test_what_is_hit_counts_by_its_kind() -> None:
+def test_penalties_depend_on_the_kind_of_the_road_user() -> None:
     """The ego drives into something that stands 50 m ahead; 42 m of 100 m are driven.
 
     ttc is 0: it is at fault.
@@ -117,7 +117,7 @@ def test_red_lights_and_the_lanes_edge() -> None:
     assert totals(off)["nuplan_closed"] == 0.0
 
 
-def test_what_is_missing_is_the_reason() -> None:
+def test_a_missing_multiplier_is_the_reason() -> None:
     table = judged(log(limit=float("nan")), along(T, 5.0))
     # Without a limit, none is exceeded
     assert totals(table)["nuplan_closed"] == pytest.approx(13.5 / 16, abs=5e-3)
@@ -167,7 +167,7 @@ def test_a_score_is_in_0_to_1_and_grows_with_each_part(
         assert two <= 1.0 + 1e-12
 
 
-def test_nothing_to_weigh_is_no_score() -> None:
+def test_a_mean_without_parts_is_no_score() -> None:
     formula = Formula(("a",), {"b": 1.0})
     found, _ = combined(formula, {"a": 1.0, "b": Unavailable("not today")})
     assert isinstance(found, Unavailable)

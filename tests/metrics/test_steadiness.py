@@ -53,7 +53,7 @@ def at_speed(v: np.ndarray) -> Trajectory:
 
 @settings(max_examples=15, deadline=None)
 @given(st.floats(-0.9, 0.9), st.floats(-3.0, 3.0), st.booleans())
-def test_an_offset_that_is_kept_is_that_offset_on_any_road(
+def test_a_constant_offset_is_measured_on_any_road(
     offset: float, turn: float, mirror: bool
 ) -> None:
     ego = beside(offset * np.clip(T / 3.0, 0.0, 1.0))
@@ -64,7 +64,7 @@ def test_an_offset_that_is_kept_is_that_offset_on_any_road(
     assert value("lane_offset.kept", ego, world) == pytest.approx(abs(offset), abs=1e-3)
 
 
-def test_what_is_no_kept_offset() -> None:
+def test_swaying_and_passing_offsets_are_not_kept() -> None:
     swaying = 0.5 * np.sin(2.0 * np.pi * T / 6.0)
     assert value("lane_offset.kept", beside(swaying)) < 0.1
     for_a_while = 0.6 * np.clip(np.minimum(T - 5.0, 14.0 - T), 0.0, 1.0)
@@ -81,7 +81,7 @@ def test_an_offset_is_not_judged_while_there_is_something_to_pass_nor_in_a_short
     assert value("lane_offset.kept", beside(0.5)) == pytest.approx(0.5)
 
 
-def test_a_swinging_speed_and_braking_for_nothing_are_counted_by_the_minute() -> None:
+def test_swings_of_the_speed_are_counted_per_minute() -> None:
     swings = at_speed(10.0 + 0.8 / (0.6 * np.pi) * np.sin(0.6 * np.pi * T))
     assert value("speed_swing.all.per_minute", swings) == pytest.approx(18.0, abs=1.0)
     assert value("speed_swing.needless.per_minute", swings) > 12.0
@@ -133,7 +133,7 @@ def test_lane_changes_away_from_the_route_are_needless_unless_a_road_user_is_in_
     )
 
 
-def test_braking_for_nothing_forces_a_follower_to_brake() -> None:
+def test_needless_braking_forces_a_follower_to_brake() -> None:
     brakes = at_speed(np.clip(12.0 - 4.0 * (T - 8.0), 0.0, 12.0))
     follower = car(-16.0, 0.0, 12.0)
     gap = 16.0 - (EGO.length - NOSE) - 0.5 * CAR[0]

@@ -89,7 +89,7 @@ def share(least: float, *, confident: bool = False, max_missing: float = 0.5) ->
     st.lists(st.floats(0.0, 1e3), min_size=1, max_size=9),
     st.sampled_from(["mean", "median", "sum"]),
 )
-def test_only_what_the_logs_make_together_must_hold(values: list[float], over: str) -> None:
+def test_a_statistic_is_judged_over_all_logs(values: list[float], over: str) -> None:
     expected = float({"mean": np.mean, "median": np.median, "sum": np.sum}[over](values))
     logs = {f"log{i}": value for i, value in enumerate(values)}
     below, above = (
@@ -123,7 +123,7 @@ def test_a_lost_log_is_no_pass_over_the_logs_either(over: str) -> None:
 @given(
     st.integers(0, 8), st.integers(0, 8), st.integers(0, 4), st.integers(0, 4), st.floats(0.01, 1.0)
 )
-def test_what_is_lost_counts_as_failed_and_what_is_inconclusive_as_neither(
+def test_lost_logs_count_as_failed_and_inconclusive_logs_as_neither(
     good: int, bad: int, unsure: int, lost: int, least: float
 ) -> None:
     values: dict[str, float | None] = {f"good{i}": 1.0 for i in range(good)}
@@ -267,7 +267,7 @@ def test_a_file_may_ask_all_of_it(tmp_path: Path) -> None:
         ("datasets = [1]", r"got `int` - at `\$.datasets\[0\]`"),
     ],
 )
-def test_what_makes_no_sense_is_refused(tmp_path: Path, text: str, message: str) -> None:
+def test_contradictory_gates_are_refused(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "gates.toml"
     path.write_text(f'[[gate]]\nmetric = "gap.min"\nmin = 0.5\n{text}\n')
     with pytest.raises(ConfigError, match=message):
@@ -404,7 +404,7 @@ def test_a_flip_by_the_rate_is_marked() -> None:
     assert not marginal(TTC, of({INTERVAL: 0.2}))
 
 
-def test_what_is_not_about_others_or_far_from_its_bound_is_not_marginal() -> None:
+def test_metrics_of_the_ego_and_values_far_from_the_bound_are_not_marginal() -> None:
     values = {
         "off_road.max": 0.3,
         "off_road.time_beyond_30cm": 0.0,
@@ -525,7 +525,7 @@ def test_a_log_too_short_for_the_reference_drives_has_none(seconds: float) -> No
     assert discriminate(log) == ()
 
 
-def test_a_log_that_only_reverses_tells_nothing() -> None:
+def test_a_log_that_only_reverses_has_no_discrimination() -> None:
     t = grid(10.0, 0.1)
     log = scenario(along(t, -2.0), [], road=replace(straight_road(), source=RoadSource.DRIVEN_PATH))
     assert discriminate(log) == ()

@@ -115,7 +115,7 @@ LATER = {
     "planners/dp_qp/test_oncoming_lane.py::test_a_queue_is_not_overtaken": 0,  # 1 s
     # 1 s
     "planners/dp_qp/test_oncoming_lane.py::test_who_waits_before_a_junction_is_not_overtaken": 0,
-    "planners/dp_qp/test_moving_obstacles.py::test_who_follows_in_the_lane_beside_does_not_have_to_brake": 0,  # 2 s
+    "planners/dp_qp/test_moving_obstacles.py::test_a_follower_in_the_lane_beside_need_not_brake": 0,  # 2 s
     "planners/test_blind.py::test_a_drive_does_not_depend_on_how_often_it_is_planned": 2,  # 1 s, 6
     "planners/piecewise_jerk/test_piecewise_jerk.py::test_without_the_compiler_the_answers_are_the_same": 0,  # 1 s
     # 4 s, 22
@@ -139,10 +139,10 @@ LATER = {
     "logs/edit/test_transform.py::test_metrics_of_a_drive_do_not_change": 2,  # 2 s, 10
     "logs/edit/test_transform.py::test_mirroring_twice_is_the_identity": 3,  # 2 s, 22
     "metrics/test_health.py::test_the_catalogue_is_clean": 3,  # 3 s, 22
-    "metrics/test_compare_rules.py::test_what_a_rule_asks": 4,  # 3 s, 11
+    "metrics/test_compare_rules.py::test_each_rule_judges_its_change": 4,  # 3 s, 11
     "metrics/test_metric.py::"
-    "test_all_metrics_of_a_drive_that_hardly_is_one_have_a_value_or_a_reason": 3,  # 2 s, 10
-    "metrics/test_nuplan.py::test_all_parts_are_those_of_the_devkit_on_recorded_logs": 0,  # 1 s
+    "test_all_metrics_of_the_shortest_drives_have_a_value_or_a_reason": 3,  # 2 s, 10
+    "metrics/test_nuplan.py::test_all_parts_equal_those_of_the_devkit_on_recorded_logs": 0,  # 1 s
     # 2 s, 6
     "metrics/test_reference_drivers.py::test_5_cm_of_noise_leave_verdicts_that_are_not_marginal": 3,
     "logs/readers/ros/test_drives.py::test_a_drive_is_chosen_where_the_clock_restarts": 3,  # 2 s, 6

@@ -349,7 +349,7 @@ def test_a_solid_marking_is_not_crossed_and_a_narrow_lane_has_no_room() -> None:
         assert np.abs(found.trace.ego.y).max() < 0.1
 
 
-def test_who_follows_in_the_lane_beside_does_not_have_to_brake() -> None:
+def test_a_follower_in_the_lane_beside_need_not_brake() -> None:
     """A faster car that is nearly beside goes first; the ego waits behind the rider for it."""
     found = drive(lanes(along_x(-20.0, 400.0), 2), [(35.0, -0.8, 4.0)], cars=((-8.0, 3.5, 12.0),))
     y = found.trace.ego.y[

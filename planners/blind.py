@@ -85,8 +85,8 @@ class Parked:
     def plan(self, frame: Frame) -> Plan:
         """Return the path of `blind` at the speeds (1), (2), in its frame."""
         plan = self._blind.plan(frame)
-        way, t = plan.trajectory, STEP_S * np.arange(HORIZON_KNOTS)
-        path = path_through(way.x, way.y, way.yaw, way.kappa)
+        trajectory, t = plan.trajectory, STEP_S * np.arange(HORIZON_KNOTS)
+        path = path_through(trajectory.x, trajectory.y, trajectory.yaw, trajectory.kappa)
         if len(path.sigma) < 2:  # `blind` stands: so does the parked driver
             return plan
         start = start_of(frame)[0]  # `blind` begins with an acceleration of its own

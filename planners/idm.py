@@ -151,13 +151,13 @@ class Idm:
                 upper[n] = np.fmin(lead.lower[leader[n], k], path.length)
             shown = (*outlines(blocks, decisions), *stop_outlines(stops, float(t[-1]), path.length))
             free, driven = Corridor(t, np.zeros(len(t)), upper), np.column_stack([t, profile[0]])
-            at = np.arange(0, len(path.s), 8)  # every few metres
-            s, side, lane = path.s[at], 0.5 * scene.vehicle.width, scene.reference
+            points = np.arange(0, len(path.s), 8)  # every few metres
+            s, side, lane = path.s[points], 0.5 * scene.vehicle.width, scene.reference
             right, left = (
                 np.interp(s, lane.line.s, edge) for edge in (lane.lane_right, lane.lane_left)
             )
             offset = np.array(
-                [lane.line.project(path.x[i], path.y[i], path.s[i], 2.0)[1] for i in at]
+                [lane.line.project(path.x[i], path.y[i], path.s[i], 2.0)[1] for i in points]
             )
             sl_graph = SlGraph(
                 None,
@@ -171,8 +171,8 @@ class Idm:
             st_graph = StGraph(None, free, nothing, driven, shown)
             return (st_graph, sl_graph, *by_agent.values(), *(stop.decision for stop in stops))
 
-        way = trajectory_along(path, profile, frame.t)
-        return Plan(way, start=start_kind, internals=Internals((), artefacts))
+        trajectory = trajectory_along(path, profile, frame.t)
+        return Plan(trajectory, start=start_kind, internals=Internals((), artefacts))
 
     def _profile(
         self, path: Path, blocks: StBoundaries, stops: tuple[Occupancy, ...], start: EgoState
@@ -242,12 +242,12 @@ def _rolled_out(
 
     Returns what `Idm._profile` returns.
     """
-    out, led = np.zeros((3, HORIZON_KNOTS)), np.full(HORIZON_KNOTS, -1)
-    s, v, a, here, k = 0.0, start[0], start[1], 0, 0
+    profile, led = np.zeros((3, HORIZON_KNOTS)), np.full(HORIZON_KNOTS, -1)
+    s, v, a, point, k = 0.0, start[0], start[1], 0, 0
     for n in range(HORIZON_KNOTS):
-        out[0, n], out[1, n], out[2, n] = s, v, a
-        while here < len(sigma) - 2 and sigma[here + 1] <= s:
-            here += 1
+        profile[0, n], profile[1, n], profile[2, n] = s, v, a
+        while point < len(sigma) - 2 and sigma[point + 1] <= s:
+            point += 1
         while k < len(t) - 1 and t[k + 1] <= n * STEP_S + 1e-9:
             k += 1
         # To the nearest block ahead, 0 inside one; blocks that begin later behind the ego are
@@ -261,9 +261,9 @@ def _rolled_out(
                     led[n], gap = i, max(lower[i, j] - s, 0.0)
                 break
         v_lead = max(speed[led[n]], 0.0) if led[n] >= 0 else 0.0
-        slope = (limit[here + 1] - limit[here]) / (sigma[here + 1] - sigma[here])
+        slope = (limit[point + 1] - limit[point]) / (sigma[point + 1] - sigma[point])
         wanted = idm_acceleration(
-            v, limit[here], slope, gap, v_lead, driver[0], driver[1], driver[2], driver[3]
+            v, limit[point], slope, gap, v_lead, driver[0], driver[1], driver[2], driver[3]
         )
         change = driver[5] * STEP_S
         a = min(max(wanted, -driver[4], a - change), a + change)
@@ -272,4 +272,4 @@ def _rolled_out(
             s, v, a = s + (0.5 * v * v / -a if a < 0.0 else 0.0), 0.0, 0.0
             continue
         s, v = s + 0.5 * STEP_S * (v + v_next), v_next
-    return out, led
+    return profile, led

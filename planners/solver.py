@@ -182,10 +182,10 @@ class QuadraticProgram:
         else:
             self._sure.update(c=q, b=lower[:k], h_l=lower[k:], h_u=upper[k:])
         status = self._sure.solve()
-        found, info, solved = self._sure.result, self._sure.result.info, status == piqp.PIQP_SOLVED
+        result, info, solved = self._sure.result, self._sure.result.info, status == piqp.PIQP_SOLVED
         # The next problem is near this one
         if solved and self._refilling is not None and self._fast is not None:
-            self._fast.warm_start(x=np.array(found.x), y=np.r_[found.y, found.z_u - found.z_l])
+            self._fast.warm_start(x=np.array(result.x), y=np.r_[result.y, result.z_u - result.z_l])
         before = f" after {spent} OSQP iterations" if spent else ""
         name, residuals = (
             f"{WORDS.get(status, 'numerical trouble')} by PIQP{before}",
@@ -194,7 +194,7 @@ class QuadraticProgram:
         report = SolverReport(
             self._stage, solved, name, spent + int(info.iter), *map(float, residuals)
         )
-        return self._check_answer(np.array(found.x), report, lower, upper)
+        return self._check_answer(np.array(result.x), report, lower, upper)
 
     def _check_answer(
         self, z: FloatArray, report: SolverReport, lower: FloatArray, upper: FloatArray

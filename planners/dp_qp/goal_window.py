@@ -108,8 +108,12 @@ class GoalWindow:
 
         Empty if there are none between two stations.
         """
-        at = self._sides[0]
-        return self._sides if len(at) and at[0] <= end and begin <= at[-1] else NO_SIDES
+        stations = self._sides[0]
+        return (
+            self._sides
+            if len(stations) and stations[0] <= end and begin <= stations[-1]
+            else NO_SIDES
+        )
 
     def time_left(self, t: float) -> float:
         """Time left to reach the goal, s; inf where it names no time or the time has passed."""
@@ -182,10 +186,10 @@ def _region(goal: Goal, reference: ReferencePath, beside: float) -> FloatArray:
     """First and last station of the goal's regions, m; NaN where all are farther than `beside` from
     the line.
     """
-    found = [
+    regions = [
         reference.line.project(float(x), float(y)) for region in goal.regions for x, y in region
     ]
-    stations = [along for along, aside in found if abs(aside) < beside]
+    stations = [along for along, aside in regions if abs(aside) < beside]
     return np.array([min(stations), max(stations)] if stations else [np.nan, np.nan])
 
 
@@ -209,9 +213,12 @@ def _sides(goal: Goal, reference: ReferencePath) -> FloatArray:
             after, then = np.roll(along, -1), np.roll(aside, -1)
             # Where the normal of the line runs through the region
             cut = (along > 0.0) != (after > 0.0)
-            at = np.sort(aside[cut] + (then - aside)[cut] * along[cut] / (along - after)[cut])
+            crossings = np.sort(
+                aside[cut] + (then - aside)[cut] * along[cut] / (along - after)[cut]
+            )
             pieces[k] += [
-                (float(low), float(high)) for low, high in zip(at[::2], at[1::2], strict=True)
+                (float(low), float(high))
+                for low, high in zip(crossings[::2], crossings[1::2], strict=True)
             ]
     across = []
     # Join pieces that touch; then take the one around the line, or nearest to it

@@ -52,11 +52,11 @@ FORGET_S = 0.5  # The memory of a lane that was not planned for this long is dro
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class PassWay:
+class MovingObstacles:
     """The moving agents that a plan is to pass, and the input of the path stage for them."""
 
     targets: tuple[PassTarget, ...]
-    way: InTheWay
+    in_the_way: InTheWay
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -165,32 +165,51 @@ class LanePlanner:
         return scene_of(frame, start, self.lane.reference, self._vehicle, memory.place)
 
     def plan(
-        self, name: str, scene: Scene, memory: LaneMemory, past: PassWay | None = None
+        self,
+        name: str,
+        scene: Scene,
+        memory: LaneMemory,
+        moving_obstacles: MovingObstacles | None = None,
     ) -> tuple[LanePlan, LaneMemory]:
         """Plan path and speed from the scene's start, with costs; and the new memory.
 
-        `name` is "keep" for the lane that the ego drives in; `past` are the moving agents that the
-        plan is to pass. A path that does not pass the nearest of them gets no speed.
+        `name` is "keep" for the lane that the ego drives in; `moving_obstacles` are the moving
+        agents that the plan is to pass. A path that does not pass the nearest of them gets no
+        speed.
         """
         t, start, config = scene.frame.t, scene.start, self._config
         if not 0.0 <= t - memory.t <= FORGET_S:
             memory = LaneMemory()
         target = self._goal.target(t, scene.s, start.v)
-        path, path_memory = self._path.choose(scene, memory.path, past.way if past else None)
+        path, path_memory = self._path.choose(
+            scene, memory.path, moving_obstacles.in_the_way if moving_obstacles else None
+        )
         speed, speed_memory, rules = None, memory.speed, memory.rules
-        if path.path is not None and (past is None or past.way.obstacles[0].agent in path.passed):
-            moving = {box.agent for box in past.way.obstacles} if past else set()
+        if path.path is not None and (
+            moving_obstacles is None
+            or moving_obstacles.in_the_way.obstacles[0].agent in path.passed
+        ):
+            moving = (
+                {box.agent for box in moving_obstacles.in_the_way.obstacles}
+                if moving_obstacles
+                else set()
+            )
             standing = {name: room for name, room in path.passed.items() if name not in moving}
             demanded, rules = self._rules.stops(scene, memory.rules, frozenset(standing))
             stops = on_path(demanded, path.path, self._vehicle)
-            skip = behind(scene, keeps_track=path.shift < TRACK_M and past is None)
-            who, beside = [] if past else find_slow_agents(scene), past.targets if past else ()
+            skip = behind(scene, keeps_track=path.shift < TRACK_M and moving_obstacles is None)
+            slow, beside = (
+                [] if moving_obstacles else find_slow_agents(scene),
+                moving_obstacles.targets if moving_obstacles else (),
+            )
             # Passing them is planned for an ego at the limit, which gets there soonest; else it
             # follows them
-            if who:
+            if slow:
                 expected = free_stations(scene.frame.predictions.t, scene.s, start.v, scene.limit)
-                beside = pass_targets(scene, who, expected)
-            task = SpeedTask(standing, skip, stops, beside, past is not None, self._goal, target)
+                beside = pass_targets(scene, slow, expected)
+            task = SpeedTask(
+                standing, skip, stops, beside, moving_obstacles is not None, self._goal, target
+            )
             speed, speed_memory = self._speed.choose(scene, path.path, task, memory.speed)
         lost, braking = self._horizon, config.failed_s
         if speed is not None and speed.profile is not None:

@@ -49,7 +49,7 @@ from replan.planners.dp_qp.lane import (
     LaneMemory,
     LanePlan,
     LanePlanner,
-    PassWay,
+    MovingObstacles,
 )
 from replan.planners.dp_qp.path.bounds import CorridorConfig
 from replan.planners.dp_qp.path.passing import (
@@ -87,8 +87,8 @@ class DpQp:
         self._lanes = LaneSequences(context)
         self._planners: dict[LaneSequence, LanePlanner] = {}
         self._memory = PlannerMemory(self._lanes.start(context.start))
-        first, here = self._memory.driven, context.start
-        station, _ = first.reference.line.project(here.x, here.y)
+        first, start = self._memory.driven, context.start
+        station, _ = first.reference.line.project(start.x, start.y)
         for lane in (first, *(lane for _, lane in self._lanes.beside(first, station))):
             self._planner(lane)  # made before the first frame, which would be late
 
@@ -230,7 +230,8 @@ def choose(
     if best is not keep:
         rejected[keep.name] = f"costs {keep.cost:.1f} s, {best.name} {best.cost:.1f} s"
     compared = (
-        LaneOption(one.name, one.costs.terms, rejected.get(one.name, "")) for one in (keep, *others)
+        LaneOption(plan.name, plan.costs.terms, rejected.get(plan.name, ""))
+        for plan in (keep, *others)
     )
     return best, tuple(compared)
 
@@ -305,11 +306,11 @@ def passing(
         memory = PassMemory()
     if not memory.passed and keep.time_lost + keep.braking < hysteresis:
         return keep, (), memory
-    who, ids = find_slow_agents(scene, memory.passed), scene.frame.agents.ids
-    if not who and not memory.passed:
+    slow, ids = find_slow_agents(scene, memory.passed), scene.frame.agents.ids
+    if not slow and not memory.passed:
         return keep, (), PassMemory(t, given_up=memory.given_up, lane=memory.lane)
     past, names, after = _plan_past(
-        keep, planner, memory, who, config.path.corridor, passes_left=passes_left
+        keep, planner, memory, slow, config.path.corridor, passes_left=passes_left
     )
     under_way = bool(names & memory.passed)
     against = ""
@@ -326,7 +327,7 @@ def passing(
     ):
         against = "abandoned a moment ago"
     going = frozenset() if against else names
-    given_up = {**memory.given_up, **{ids[i]: t for i in who if ids[i] in memory.passed - going}}
+    given_up = {**memory.given_up, **{ids[i]: t for i in slow if ids[i] in memory.passed - going}}
     memory = replace(after, t=t, passed=going, given_up=given_up)
     if past is None:
         return keep, (), memory
@@ -341,7 +342,7 @@ def _plan_past(
     keep: LanePlan,
     planner: LanePlanner,
     memory: PassMemory,
-    who: list[int],
+    slow: list[int],
     config: CorridorConfig,
     *,
     passes_left: bool,
@@ -350,7 +351,7 @@ def _plan_past(
     no such plan.
     """
     scene, t, lane = keep.scene, keep.scene.frame.predictions.t, memory.lane
-    if not who:
+    if not slow:
         return None, frozenset(), replace(memory, stations=None)
     course, passing_side = scene.reference, "left" if passes_left else "right"
     aside, edge = (scene.l, course.lane_left) if passes_left else (-scene.l, -course.lane_right)
@@ -363,42 +364,42 @@ def _plan_past(
         stations = free_stations(t, scene.s, scene.start.v, scene.limit)
     else:
         stations = _carried_on(t - t[0], stations, t - memory.t)
-    found = pass_targets(scene, who, stations, memory.passed)
+    targets = pass_targets(scene, slow, stations, memory.passed)
     for turn in range(TURNS):
-        way = obstacles_to_pass(
-            scene, found, stations, sides, config, planner.places, memory.passed
+        in_the_way = obstacles_to_pass(
+            scene, targets, stations, sides, config, planner.places, memory.passed
         )
-        if not way.obstacles:
+        if not in_the_way.obstacles:
             return None, frozenset(), replace(memory, stations=None, lane=lane)
-        plan, lane = planner.plan("pass", scene, lane, PassWay(found, way))
+        plan, lane = planner.plan("pass", scene, lane, MovingObstacles(targets, in_the_way))
         path, speed = plan.path.path, plan.speed
         if path is None or speed is None or speed.profile is None:
             return None, frozenset(), replace(memory, stations=None, lane=lane)
         sigma = speed.profile[0]
         reached = np.interp(sigma, path.sigma, path.s)  # on the reference line
         stations = _carried_on(STEP_S * np.arange(len(sigma)), reached, t - t[0])
-        before, found = found, pass_targets(scene, who, stations, memory.passed)
+        previous, targets = targets, pass_targets(scene, slow, stations, memory.passed)
         moved = [
             abs(a.box.s_from - b.box.s_from) + abs(a.box.s_to - b.box.s_to)
-            for a, b in zip(before, found, strict=False)
+            for a, b in zip(previous, targets, strict=False)
         ]
-        same = [one.agent for one in before] == [one.agent for one in found]
+        same = [target.agent for target in previous] == [target.agent for target in targets]
         if turn + 1 == TURNS or (same and max(moved, default=inf) < SETTLED_M):
             break
     names = (
         frozenset(plan.path.passed)
-        & {box.agent for box in way.obstacles}
-        & {one.box.agent for one in found}
+        & {box.agent for box in in_the_way.obstacles}
+        & {target.box.agent for target in targets}
     )
-    if way.obstacles[0].agent not in names:
+    if in_the_way.obstacles[0].agent not in names:
         return None, frozenset(), replace(memory, stations=None, lane=lane)
     return plan, names, replace(memory, stations=stations, lane=lane)
 
 
-def _carried_on(known: FloatArray, stations: FloatArray, t: FloatArray) -> FloatArray:
-    """Interpolate stations `(n,)` at `known` times to other times `(k,)`.
+def _carried_on(times: FloatArray, stations: FloatArray, t: FloatArray) -> FloatArray:
+    """Interpolate stations `(n,)` at `times` times to other times `(k,)`.
 
     After the last, at the last speed.
     """
-    speed = (stations[-1] - stations[-2]) / (known[-1] - known[-2])
-    return np.asarray(np.interp(t, known, stations) + speed * np.maximum(t - known[-1], 0.0))
+    speed = (stations[-1] - stations[-2]) / (times[-1] - times[-2])
+    return np.asarray(np.interp(t, times, stations) + speed * np.maximum(t - times[-1], 0.0))

@@ -71,8 +71,8 @@ def _fine_path(
     for i in range(n):
         if s0 + step * i < s0 + SHIFT_AHEAD_M:
             shift = max(shift, abs(offsets[0, i] - offsets[0, 0]))
-    out = np.empty((6, (n - 1) * parts + 1))
-    for m in range(out.shape[1]):
+    columns = np.empty((6, (n - 1) * parts + 1))
+    for m in range(columns.shape[1]):
         i = min(m // parts, n - 2)
         d = step * (m - i * parts) / parts
         jerk = (offsets[2, i + 1] - offsets[2, i]) / step
@@ -86,17 +86,19 @@ def _fine_path(
         turn = atan2(dl, regular)
         c = cos(turn)
         bend = ddl + (2.0 * dkappa_r * l + kappa_r * dl) * tan(turn)
-        out[1, m], out[2, m] = x - l * sin(yaw_r), y + l * cos(yaw_r)  # (1)
-        out[3, m] = yaw_r + turn  # (2)
-        out[4, m] = (bend * c * c / regular + kappa_r) * c / regular  # (3)
-        out[5, m] = s
-        out[0, m] = 0.0
+        columns[1, m], columns[2, m] = x - l * sin(yaw_r), y + l * cos(yaw_r)  # (1)
+        columns[3, m] = yaw_r + turn  # (2)
+        columns[4, m] = (bend * c * c / regular + kappa_r) * c / regular  # (3)
+        columns[5, m] = s
+        columns[0, m] = 0.0
         if m > 0:
-            out[0, m] = out[0, m - 1] + hypot(out[1, m] - out[1, m - 1], out[2, m] - out[2, m - 1])
-            out[3, m] = out[3, m - 1] + wrap(out[3, m] - out[3, m - 1])
-        if s > until or (abs(out[4, m]) > sharpest and out[0, m] > AT_START_M):
-            return out[:, :m], shift
-    return out[:, :], shift
+            columns[0, m] = columns[0, m - 1] + hypot(
+                columns[1, m] - columns[1, m - 1], columns[2, m] - columns[2, m - 1]
+            )
+            columns[3, m] = columns[3, m - 1] + wrap(columns[3, m] - columns[3, m - 1])
+        if s > until or (abs(columns[4, m]) > sharpest and columns[0, m] > AT_START_M):
+            return columns[:, :m], shift
+    return columns[:, :], shift
 
 
 def drivable_path(
@@ -171,7 +173,7 @@ def states_on_path(
 
     Beyond the end the path continues straight.
     """
-    out = np.empty((4, len(stations)))
+    states = np.empty((4, len(stations)))
     last = len(sigma) - 1
     i = 0
     for k in range(len(stations)):
@@ -184,11 +186,11 @@ def states_on_path(
         h10, h11 = u * (1.0 - u) ** 2 * h, u * u * (u - 1.0) * h
         a, b = yaw[i], yaw[i + 1]
         beyond = target - sigma[last] if target > sigma[last] else 0.0
-        out[2, k] = a + u * (b - a)
-        out[0, k] = h00 * x[i] + h01 * x[i + 1] + h10 * cos(a) + h11 * cos(b) + beyond * cos(b)
-        out[1, k] = h00 * y[i] + h01 * y[i + 1] + h10 * sin(a) + h11 * sin(b) + beyond * sin(b)
-        out[3, k] = kappa[i] + u * (kappa[i + 1] - kappa[i]) if beyond == 0.0 else 0.0
-    return out
+        states[2, k] = a + u * (b - a)
+        states[0, k] = h00 * x[i] + h01 * x[i + 1] + h10 * cos(a) + h11 * cos(b) + beyond * cos(b)
+        states[1, k] = h00 * y[i] + h01 * y[i + 1] + h10 * sin(a) + h11 * sin(b) + beyond * sin(b)
+        states[3, k] = kappa[i] + u * (kappa[i + 1] - kappa[i]) if beyond == 0.0 else 0.0
+    return states
 
 
 @kernel

@@ -81,12 +81,14 @@ def limit_profile(
     sigma: FloatArray, kappa: FloatArray, limit: FloatArray, curve_accel: float, ease: float
 ) -> FloatArray:
     """The speed limit (1) along a path `(m,)`."""
-    out = np.empty(len(sigma))
+    limits = np.empty(len(sigma))
     for i in range(len(sigma) - 1, -1, -1):
-        out[i] = min(limit[i], sqrt(curve_accel / max(abs(kappa[i]), 1e-9)))  # (1)
+        limits[i] = min(limit[i], sqrt(curve_accel / max(abs(kappa[i]), 1e-9)))  # (1)
         if i < len(sigma) - 1:
-            out[i] = min(out[i], sqrt(out[i + 1] ** 2 + 2.0 * ease * (sigma[i + 1] - sigma[i])))
-    return out
+            limits[i] = min(
+                limits[i], sqrt(limits[i + 1] ** 2 + 2.0 * ease * (sigma[i + 1] - sigma[i]))
+            )
+    return limits
 
 
 @kernel
@@ -97,10 +99,10 @@ def braking(v0: float, a0: float, decel: float, jerk: float, step: float, knots:
     The stop itself is eased: the next deceleration b is not more than the jerk can release before
     standstill, b^2 <= 2 jerk v' with the speed v' = v + step (a - b) / 2 that it leaves.
     """
-    out = np.zeros((3, knots))
+    profile = np.zeros((3, knots))
     s, v, a, half = 0.0, v0, a0, 0.5 * jerk * step
     for i in range(knots):
-        out[0, i], out[1, i], out[2, i] = s, v, a
+        profile[0, i], profile[1, i], profile[2, i] = s, v, a
         # (3)
         wanted = -min(decel, sqrt(half * half + 2.0 * jerk * max(v + 0.5 * step * a, 0.0)) - half)
         a_next = max(wanted, a - jerk * step) if wanted < a else min(wanted, a + jerk * step)
@@ -111,7 +113,7 @@ def braking(v0: float, a0: float, decel: float, jerk: float, step: float, knots:
             continue
         s += step * v + step * step * (a / 3.0 + a_next / 6.0)
         v, a = v_next, a_next
-    return out
+    return profile
 
 
 @kernel
@@ -127,10 +129,10 @@ def cruising(
     knots: int,
 ) -> FloatArray:
     """Rows s, v `(2, knots)` of driving at the limit `(m,)` along the path, on a free road."""
-    out = np.zeros((2, knots))
+    profile = np.zeros((2, knots))
     s, v, a, i = 0.0, v0, a0, 0
     for k in range(knots):
-        out[0, k], out[1, k] = s, v
+        profile[0, k], profile[1, k] = s, v
         while i < len(sigma) - 2 and sigma[i + 1] < s:
             i += 1
         falling = min(0.0, v * (limit[i + 1] - limit[i]) / (sigma[i + 1] - sigma[i]))
@@ -139,7 +141,7 @@ def cruising(
         v_next = max(0.0, v + a * step)
         s += 0.5 * step * (v + v_next)
         v = v_next
-    return out
+    return profile
 
 
 MIN_REST_S = 3.0  # The ego drives the rest of the previous plan if it lasts at least this long, s
@@ -166,13 +168,13 @@ def _trajectory_rows(
     t: float,
 ) -> FloatArray:
     """`trajectory_along` as rows t, x, y, yaw, v, a, kappa `(7, n)`."""
-    out = np.empty((7, profile.shape[1]))
+    rows = np.empty((7, profile.shape[1]))
     where = states_on_path(sigma, x, y, yaw, kappa, profile[0])
-    out[1:4], out[6] = where[:3], where[3]
-    out[4:6] = profile[1:]
-    for k in range(out.shape[1]):
-        out[0, k] = t + STEP_S * k
-    return out
+    rows[1:4], rows[6] = where[:3], where[3]
+    rows[4:6] = profile[1:]
+    for k in range(rows.shape[1]):
+        rows[0, k] = t + STEP_S * k
+    return rows
 
 
 class Stops(NamedTuple):
@@ -208,8 +210,8 @@ def fall_back(
         return Plan(rest, PlanStatus.PREVIOUS, reason, PlanStart.PREVIOUS_PLAN, artefacts)
     stitched = rest is not None and start_kind is PlanStart.PREVIOUS_PLAN and rest.v[0] > 0.5
     if path is None and rest is not None and stitched:
-        kept = path_through(rest.x, rest.y, rest.yaw, rest.kappa)
-        path = kept if len(kept.sigma) > 1 else None
+        previous_path = path_through(rest.x, rest.y, rest.yaw, rest.kappa)
+        path = previous_path if len(previous_path.sigma) > 1 else None
     if path is None:
         sigma, still = np.linspace(0.0, 200.0, 201), np.zeros(201)
         x, y = start.x + sigma * np.cos(start.yaw), start.y + sigma * np.sin(start.yaw)

@@ -141,9 +141,9 @@ class ReferencePath:
 @kernel
 def sections(knots: FloatArray, table: FloatArray, s: FloatArray) -> CrossSections:
     """`ReferencePath.at` for other kernels: its `line.s`, its `table`, stations `(k,)`."""
-    out = np.empty((table.shape[1], len(s)))
-    write_sections(knots, table, s, out)
-    return CrossSections(out[0], out[1], out[2], out[3], out[4], out[5], out[6], out[7])
+    rows = np.empty((table.shape[1], len(s)))
+    write_sections(knots, table, s, rows)
+    return CrossSections(rows[0], rows[1], rows[2], rows[3], rows[4], rows[5], rows[6], rows[7])
 
 
 @inner_kernel
@@ -244,7 +244,7 @@ def make_line(
         1.0,
     )
     across = (road.lanes[lane].left - road.lanes[lane].right for lane in lanes)
-    width = min(float(np.median(np.hypot(*each.T))) for each in across)
+    width = min(float(np.median(np.hypot(*edge.T))) for edge in across)
     line = ReferenceLine.through(smooth_points(points))
     room = 0.5 * (width - car.width) - EDGE_M if car is not None else 0.0
     for shift, weight in HARDER:
@@ -331,7 +331,7 @@ def _crossings(xy: FloatArray, yaw: FloatArray, boundary: FloatArray, reach: flo
 
     Nan beyond `reach`.
     """
-    out = np.full(len(yaw), np.nan)
+    offsets = np.full(len(yaw), np.nan)
     low_x, high_x = boundary[:, 0].min() - reach - 1.0, boundary[:, 0].max() + reach + 1.0
     low_y, high_y = boundary[:, 1].min() - reach - 1.0, boundary[:, 1].max() + reach + 1.0
     for k in range(len(yaw)):
@@ -352,8 +352,8 @@ def _crossings(xy: FloatArray, yaw: FloatArray, boundary: FloatArray, reach: flo
                 if abs(offset) <= reach and not abs(offset) >= abs(best):
                     best = offset
             along, left = along_next, left_next
-        out[k] = best
-    return out
+        offsets[k] = best
+    return offsets
 
 
 def _lane_extents(
@@ -473,8 +473,8 @@ class LaneSequences:
         """The sequence that a lane belongs to."""
         if lane not in self._sequences:
             sequence = self._make_sequence(lane)
-            for each in sequence.lanes[sequence.lanes.index(lane) :]:
-                self._sequences.setdefault(each, sequence)
+            for ahead in sequence.lanes[sequence.lanes.index(lane) :]:
+                self._sequences.setdefault(ahead, sequence)
         return self._sequences[lane]
 
     def beside(
@@ -484,8 +484,8 @@ class LaneSequences:
         crossed.
         """
         ends = np.cumsum([self._road.lanes[lane].length for lane in sequence.lanes])
-        here = min(int(np.searchsorted(ends, station + TIE)), len(sequence.lanes) - 1)
-        lane = self._road.lanes[sequence.lanes[here]]
+        position = min(int(np.searchsorted(ends, station + TIE)), len(sequence.lanes) - 1)
+        lane = self._road.lanes[sequence.lanes[position]]
         sides = (
             ("left", lane.left_neighbour, lane.left_crossable),
             ("right", lane.right_neighbour, lane.right_crossable),
@@ -529,12 +529,14 @@ class LaneSequences:
         reference = make_reference_path(self._road, lanes, self._start, self._car)
         if not self._to_go:
             return LaneSequence(lanes, reference, 0, np.inf)
-        needs = [self._to_go[each].changes if each in self._to_go else None for each in lanes]
+        needs = [
+            self._to_go[lane_id].changes if lane_id in self._to_go else None for lane_id in lanes
+        ]
         known = [(need, i) for i, need in enumerate(needs) if need is not None and i >= len(behind)]
         fewest = min((need for need, _ in known), default=None)
         if not fewest:
             return LaneSequence(lanes, reference, fewest, np.inf)
-        ends = np.cumsum([self._road.lanes[each].length for each in lanes])
+        ends = np.cumsum([self._road.lanes[lane_id].length for lane_id in lanes])
         due = float(ends[max(i for need, i in known if need == fewest)])
         return LaneSequence(lanes, reference, fewest, due)  # (3), (4)
 

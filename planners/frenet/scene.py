@@ -231,18 +231,18 @@ def place_agents(
     """
     s_ego, l_ego = line_project(knots, coef, ego[0], ego[1], near, within)
     x, y, vx, vy = bodies.x, bodies.y, bodies.vx, bodies.vy
-    out = np.empty((14, len(x)))
+    columns = np.empty((14, len(x)))
     for i in range(len(x)):
         window = min(WINDOW_M[0] + WINDOW_SHARE * hypot(x[i] - ego[0], y[i] - ego[1]), WINDOW_M[1])
         s, l = line_project(knots, coef, x[i], y[i], s_ego, window)
         along = line_frame(knots, coef, s)[2]
-        out[0, i], out[1, i] = s, l
-        out[2, i] = vx[i] * cos(along) + vy[i] * sin(along)  # (1)
-        out[3, i] = vy[i] * cos(along) - vx[i] * sin(along)
-        out[4, i] = wrap(bodies.yaw[i] - along)  # (2)
-        out[5, i] = hypot(vx[i], vy[i])
-    write_sections(knots, table, out[0], out[6:])
-    return s_ego, l_ego, interpolated(s_ego, knots, limits), out
+        columns[0, i], columns[1, i] = s, l
+        columns[2, i] = vx[i] * cos(along) + vy[i] * sin(along)  # (1)
+        columns[3, i] = vy[i] * cos(along) - vx[i] * sin(along)
+        columns[4, i] = wrap(bodies.yaw[i] - along)  # (2)
+        columns[5, i] = hypot(vx[i], vy[i])
+    write_sections(knots, table, columns[0], columns[6:])
+    return s_ego, l_ego, interpolated(s_ego, knots, limits), columns
 
 
 def behind(scene: Scene, *, keeps_track: bool) -> BoolArray:
@@ -268,14 +268,16 @@ def _follow(
 
     The ego's station of the rear, offset, yaw and width.
     """
-    out = np.zeros(len(s), np.bool_)
+    follows = np.zeros(len(s), np.bool_)
     rear, l_ego, yaw_ego, width = ego
     for i in range(len(s)):
         heading = bodies.yaw[i] if standing[i] else atan2(bodies.vy[i], bodies.vx[i])
         in_track = keeps_track or abs(l[i] - l_ego) < 0.5 * (bodies.width[i] + width) + TRACK_ROOM_M
         turn = abs((heading - yaw_ego + pi) % (2.0 * pi) - pi)
-        out[i] = s[i] + 0.5 * bodies.length[i] < rear + OVERLAP_M and in_track and turn < 0.5 * pi
-    return out
+        follows[i] = (
+            s[i] + 0.5 * bodies.length[i] < rear + OVERLAP_M and in_track and turn < 0.5 * pi
+        )
+    return follows
 
 
 def start_of(
@@ -343,9 +345,9 @@ def on_reference(
     """Stops as distances ahead of a rear axle at station `s` that keeps to the reference line, m,
     not negative.
     """
-    here = s + vehicle.axle_to_front
+    front = s + vehicle.axle_to_front
     return tuple(
-        replace(stop, s_from=max(stop.s_from - here, 0.0), aim=max(stop.aim - here, 0.0))
+        replace(stop, s_from=max(stop.s_from - front, 0.0), aim=max(stop.aim - front, 0.0))
         for stop in stops
     )
 
@@ -354,13 +356,16 @@ def on_path(
     stops: tuple[Occupancy, ...], path: Path, vehicle: VehicleParameters
 ) -> tuple[Occupancy, ...]:
     """The stops that lie on a path, as arc lengths of the rear axle, m, not negative."""
-    found = []
+    on_path_stops = []
     for stop in stops:
         bound, aim = (station - vehicle.axle_to_front for station in (stop.s_from, stop.aim))
         if bound < path.s[-1]:
-            bound, aim = (max(float(np.interp(at, path.s, path.sigma)), 0.0) for at in (bound, aim))
-            found.append(replace(stop, s_from=bound, aim=aim))
-    return tuple(found)
+            bound, aim = (
+                max(float(np.interp(bound_or_aim, path.s, path.sigma)), 0.0)
+                for bound_or_aim in (bound, aim)
+            )
+            on_path_stops.append(replace(stop, s_from=bound, aim=aim))
+    return tuple(on_path_stops)
 
 
 def open_end(stops: Sequence[Occupancy]) -> float:

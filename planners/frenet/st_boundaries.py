@@ -111,8 +111,8 @@ class StBoundaries:
 
     def meets(self, t: FloatArray, s: FloatArray) -> bool:
         """Whether a profile s(t) `(m,)` enters an interval."""
-        at = np.interp(self.t, t, s)
-        return bool(((at > self.lower) & (at < self.upper)).any())
+        stations = np.interp(self.t, t, s)
+        return bool(((stations > self.lower) & (stations < self.upper)).any())
 
     def leave(self, t: FloatArray, s: FloatArray, gap: float) -> bool:
         """Whether a profile s(t) `(m,)` stays behind all intervals by a gap, m."""
@@ -169,9 +169,9 @@ def st_boundaries(
         is_passed |= np.array([name in passed for name in agents.ids], np.bool_)
     margins = config.margin_m, config.vulnerable_margin_m, config.passed_margin_m
     ego = Swept(car.axle_to_center, car.length, car.width, *margins, config.early_s, config.late_s)
-    way = SweptPath(path.sigma, path.x, path.y, path.yaw)
+    swept = SweptPath(path.sigma, path.x, path.y, path.yaw)
     roles = Roles(skip, scene.vulnerable, is_passed)
-    return StBoundaries(*sweep(way, futures, scene.bodies, roles, ego, scene.frame.t, stride))
+    return StBoundaries(*sweep(swept, futures, scene.bodies, roles, ego, scene.frame.t, stride))
 
 
 @kernel
@@ -197,40 +197,40 @@ def decide_speed(blocks: StBoundaries, scene: Scene, s: FloatArray) -> tuple[Dec
 
     The reason has when and where.
     """
-    found, agents = [], scene.frame.agents
+    decisions, agents = [], scene.frame.agents
     codes = decide(blocks.lower, blocks.upper, blocks.speed, scene.speed[blocks.agent], s)
-    for code, who, lower in zip(codes, blocks.agent, blocks.lower, strict=True):
+    for code, agent, lower in zip(codes, blocks.agent, blocks.lower, strict=True):
         taken = np.flatnonzero(np.isfinite(lower))
         times = (
             f"from {blocks.t[taken[0]]:.1f} s to {blocks.t[taken[-1]]:.1f} s, from "
             f"{lower[taken[0]]:.1f} m on"
         )
-        reason = f"{agents.kinds[who].value} takes the path {times}"
-        found.append(Decision(agents.ids[who], KINDS[code], "speed", reason))
-    return tuple(found)
+        reason = f"{agents.kinds[agent].value} takes the path {times}"
+        decisions.append(Decision(agents.ids[agent], KINDS[code], "speed", reason))
+    return tuple(decisions)
 
 
 def outlines(blocks: StBoundaries, decisions: Sequence[Decision]) -> tuple[GraphObstacle, ...]:
     """The intervals as polygons of the S-T graph, each with its decision."""
-    found = []
+    polygons = []
     for i, decision in enumerate(decisions):
         taken = np.isfinite(blocks.lower[i])
         low: FloatArray = np.column_stack([blocks.t[taken], blocks.lower[i, taken]])
         high: FloatArray = np.column_stack([blocks.t[taken], blocks.upper[i, taken]])
-        found.append(GraphObstacle(decision.agent, np.vstack([low, high[::-1]]), decision.kind))
-    return tuple(found)
+        polygons.append(GraphObstacle(decision.agent, np.vstack([low, high[::-1]]), decision.kind))
+    return tuple(polygons)
 
 
 def stop_outlines(
     stops: Sequence[Occupancy], horizon: float, length: float
 ) -> tuple[GraphObstacle, ...]:
     """The stops on a path as rectangles of the S-T graph, to the path's end."""
-    found = []
+    rectangles = []
     for stop in stops:
         end, top = min(stop.until, horizon), max(length, stop.s_from)
         corners = np.array([(0.0, stop.s_from), (end, stop.s_from), (end, top), (0.0, top)])
-        found.append(GraphObstacle(stop.agent, corners, stop.kind))
-    return tuple(found)
+        rectangles.append(GraphObstacle(stop.agent, corners, stop.kind))
+    return tuple(rectangles)
 
 
 class SweptPath(NamedTuple):
@@ -268,7 +268,7 @@ class Swept(NamedTuple):
 
 @kernel
 def sweep(
-    way: SweptPath,
+    swept: SweptPath,
     futures: Futures,
     bodies: Bodies,
     roles: Roles,
@@ -283,21 +283,21 @@ def sweep(
     x, y, yaw, size = futures.x, futures.y, futures.yaw, len(futures.agent)
     rows, speed = np.empty(size, np.int64), np.empty(size)
     lower, upper = np.full((size, len(t)), np.nan), np.full((size, len(t)), np.nan)
-    low_x, high_x, low_y, high_y = way.x.min(), way.x.max(), way.y.min(), way.y.max()
+    low_x, high_x, low_y, high_y = swept.x.min(), swept.x.max(), swept.y.min(), swept.y.max()
     widest = ego.width + 2.0 * max(ego.margin, ego.vulnerable_margin, ego.passed_margin)
-    boxes, moved = _ego_boxes(way, 0, 0.0, 0.0)
+    boxes, moved = _ego_boxes(swept, 0, 0.0, 0.0)
     parts, other = boxes, np.empty((4, len(t)))
     count = 0
     for i in range(size):
-        who = futures.agent[i]
-        if roles.skipped[who]:
+        agent = futures.agent[i]
+        if roles.skipped[agent]:
             continue
-        margin = ego.vulnerable_margin if roles.vulnerable[who] else ego.margin
-        if roles.passed[who]:
+        margin = ego.vulnerable_margin if roles.vulnerable[agent] else ego.margin
+        if roles.passed[agent]:
             margin = ego.passed_margin
         ego_size, other_size = (
             (ego.length, ego.width + 2.0 * margin),
-            (bodies.length[who], bodies.width[who]),
+            (bodies.length[agent], bodies.width[agent]),
         )
         reach = abs(ego.rear_to_center) + 0.5 * (hypot(*ego_size) + hypot(*other_size))
         is_near = False
@@ -308,23 +308,33 @@ def sweep(
             continue
         if not boxes.shape[1]:
             radius = 0.5 * hypot(ego.length, widest)
-            boxes, moved = _ego_boxes(way, len(way.x), ego.rear_to_center, radius)
+            boxes, moved = _ego_boxes(swept, len(swept.x), ego.rear_to_center, radius)
             parts = _envelopes(boxes, np.int64(PART), ego.length, widest)
         for k in range(len(t)):
             other[0, k], other[1, k] = x[i, k * stride], y[i, k * stride]
             other[2, k], other[3, k] = cos(yaw[i, k * stride]), sin(yaw[i, k * stride])
         if _takes(
-            way.sigma, boxes, moved, parts, ego_size, other, other_size, lower[count], upper[count]
+            swept.sigma,
+            boxes,
+            moved,
+            parts,
+            ego_size,
+            other,
+            other_size,
+            lower[count],
+            upper[count],
         ):
             rows[count] = i
             entry = _drawn_out(t, lower[count], upper[count], ego.early, ego.late)  # (2)
-            at = min(int(np.searchsorted(way.sigma, entry)), len(way.sigma) - 1)
+            entry_point = min(int(np.searchsorted(swept.sigma, entry)), len(swept.sigma) - 1)
             # (3)
-            speed[count] = bodies.vx[who] * cos(way.yaw[at]) + bodies.vy[who] * sin(way.yaw[at])
+            speed[count] = bodies.vx[agent] * cos(swept.yaw[entry_point]) + bodies.vy[agent] * sin(
+                swept.yaw[entry_point]
+            )
             count += 1
-    found = rows[:count]
+    taking = rows[:count]
     lower, upper = lower[:count].copy(), upper[:count].copy()
-    return t, futures.agent[found], lower, upper, speed[:count].copy(), futures.probability[found]
+    return t, futures.agent[taking], lower, upper, speed[:count].copy(), futures.probability[taking]
 
 
 @inner_kernel
@@ -376,22 +386,22 @@ def _takes(
 
 @inner_kernel
 def _ego_boxes(
-    way: SweptPath, count: int, rear_to_center: float, radius: float
+    swept: SweptPath, count: int, rear_to_center: float, radius: float
 ) -> tuple[FloatArray, float]:
     """Rows x, y, cos yaw, sin yaw, yaw `(5, count)` of the ego's box along a path.
 
     The greatest step of a point.
     """
-    out = np.empty((5, count))
+    boxes = np.empty((5, count))
     moved = 1e-6
     for j in range(count):
-        c, s = cos(way.yaw[j]), sin(way.yaw[j])
-        out[0, j], out[1, j] = way.x[j] + rear_to_center * c, way.y[j] + rear_to_center * s
-        out[2, j], out[3, j], out[4, j] = c, s, way.yaw[j]
+        c, s = cos(swept.yaw[j]), sin(swept.yaw[j])
+        boxes[0, j], boxes[1, j] = swept.x[j] + rear_to_center * c, swept.y[j] + rear_to_center * s
+        boxes[2, j], boxes[3, j], boxes[4, j] = c, s, swept.yaw[j]
         if j > 0:
-            away = hypot(out[0, j] - out[0, j - 1], out[1, j] - out[1, j - 1])
-            moved = max(moved, away + radius * abs(wrap(way.yaw[j] - way.yaw[j - 1])))
-    return out, moved
+            away = hypot(boxes[0, j] - boxes[0, j - 1], boxes[1, j] - boxes[1, j - 1])
+            moved = max(moved, away + radius * abs(wrap(swept.yaw[j] - swept.yaw[j - 1])))
+    return boxes, moved
 
 
 @inner_kernel
@@ -402,8 +412,8 @@ def _envelopes(boxes: FloatArray, every: np.int64, length: float, width: float) 
     heading of its middle box. `every` is not a literal, since numba would compile the function for
     each value.
     """
-    out = np.empty((6, (boxes.shape[1] + every - 1) // every))
-    for e in range(out.shape[1]):
+    envelopes = np.empty((6, (boxes.shape[1] + every - 1) // every))
+    for e in range(envelopes.shape[1]):
         begin, end = e * every, min((e + 1) * every, boxes.shape[1])
         m = (begin + end) // 2
         x, y, c, s = boxes[0, m], boxes[1, m], boxes[2, m], boxes[3, m]
@@ -422,14 +432,14 @@ def _envelopes(boxes: FloatArray, every: np.int64, length: float, width: float) 
             rear, front = min(rear, along - half[0]), max(front, along + half[0])
             right, left = min(right, aside - half[1]), max(left, aside + half[1])
         along, aside = 0.5 * (rear + front), 0.5 * (right + left)
-        out[0, e], out[1, e] = x + c * along - s * aside, y + s * along + c * aside
-        out[2, e], out[3, e], out[4, e], out[5, e] = (
+        envelopes[0, e], envelopes[1, e] = x + c * along - s * aside, y + s * along + c * aside
+        envelopes[2, e], envelopes[3, e], envelopes[4, e], envelopes[5, e] = (
             c,
             s,
             0.5 * (front - rear),
             0.5 * (left - right),
         )
-    return out
+    return envelopes
 
 
 @inner_kernel

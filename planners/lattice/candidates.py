@@ -126,11 +126,13 @@ def evaluate_polynomial(c: FloatArray, T: float, x: float) -> tuple[float, float
 @kernel
 def sample_polynomials(lon: FloatArray, T: FloatArray, steps: int) -> FloatArray:
     """s, s_dot, s_ddot `(m, 3, steps + 1)` of polynomials `(m, 6)` every `STEP_S`."""
-    out = np.empty((len(lon), 3, steps + 1))
+    motion = np.empty((len(lon), 3, steps + 1))
     for i in range(len(lon)):
         for k in range(steps + 1):
-            out[i, 0, k], out[i, 1, k], out[i, 2, k] = evaluate_polynomial(lon[i], T[i], k * STEP_S)
-    return out
+            motion[i, 0, k], motion[i, 1, k], motion[i, 2, k] = evaluate_polynomial(
+                lon[i], T[i], k * STEP_S
+            )
+    return motion
 
 
 @kernel
@@ -138,10 +140,10 @@ def squared_jerks(coef: FloatArray, T: FloatArray) -> FloatArray:
     """Integral of the squared third derivative of each polynomial `(m, 6)` over its duration
     `(m,)`.
     """
-    out = np.empty(len(T))
+    jerks = np.empty(len(T))
     for i in range(len(T)):
-        out[i] = third_square(coef[i, 3], coef[i, 4], coef[i, 5], T[i])
-    return out
+        jerks[i] = third_square(coef[i, 3], coef[i, 4], coef[i, 5], T[i])
+    return jerks
 
 
 @kernel
@@ -207,32 +209,32 @@ def speed_faults(
     traffic rules permit `(k,)`, m from the start; `bounds` the greatest acceleration, the greatest
     deceleration, and the permitted excess over the limit.
     """
-    out = np.zeros(len(motion), np.int64)
+    faults = np.zeros(len(motion), np.int64)
     h = grid[1] - grid[0]
     for i in range(len(motion)):
         for k in range(motion.shape[2]):
-            at = min(max(int((s0 + motion[i, 0, k] - grid[0]) / h), 0), len(grid) - 1)
+            cell = min(max(int((s0 + motion[i, 0, k] - grid[0]) / h), 0), len(grid) - 1)
             v, a = motion[i, 1, k], motion[i, 2, k]
             if v < -REST_MPS:
-                out[i] = Fault.BACKWARDS.value
+                faults[i] = Fault.BACKWARDS.value
             elif motion[i, 0, k] > upper[k]:
-                out[i] = Fault.STOP_LINE.value
-            elif v > max(limit[at] + bounds[2], allowed[k]):
-                out[i] = Fault.TOO_FAST
+                faults[i] = Fault.STOP_LINE.value
+            elif v > max(limit[cell] + bounds[2], allowed[k]):
+                faults[i] = Fault.TOO_FAST
             elif a > max(bounds[0], motion[i, 2, 0] + 1e-6):
-                out[i] = Fault.ACCELERATION.value
+                faults[i] = Fault.ACCELERATION.value
             elif a < min(-bounds[1], motion[i, 2, 0] - 1e-6):
-                out[i] = Fault.BRAKING.value
-            if out[i] != 0:
+                faults[i] = Fault.BRAKING.value
+            if faults[i] != 0:
                 break
-    return out
+    return faults
 
 
 @inner_kernel
 def _outside(l: float, s: float, grid: FloatArray, left: FloatArray, right: FloatArray) -> float:
     """Distance of an offset outside the edges at station s, m."""
-    at = min(max(int((s - grid[0]) / (grid[1] - grid[0])), 0), len(grid) - 1)
-    return max(l - left[at], right[at] - l, 0.0)
+    cell = min(max(int((s - grid[0]) / (grid[1] - grid[0])), 0), len(grid) - 1)
+    return max(l - left[cell], right[cell] - l, 0.0)
 
 
 class FrenetStart(NamedTuple):
@@ -387,7 +389,7 @@ def first_feasible(
     """The first pair in `order` without a fault, -1 if there is none, and the number of pairs found
     with each fault.
     """
-    found, start = np.zeros(FAULTS, np.int64), np.array(ego.lateral)
+    counts, start = np.zeros(FAULTS, np.int64), np.array(ego.lateral)
     for pair in order:
         i = pairs.row[pair]
         motion = sample_polynomials(
@@ -398,9 +400,9 @@ def first_feasible(
         unseen = others.behind[1] if pairs.changes[pair] else others.behind[0]
         fault = drive_fault(at, motion, ego.s, room, others, unseen, body)
         if fault == 0:
-            return pair, found
-        found[fault] += 1
-    return -1, found
+            return pair, counts
+        counts[fault] += 1
+    return -1, counts
 
 
 @kernel
@@ -416,7 +418,7 @@ def futures_frenet(
     """Predictions `(n, k)` in the Frenet frame: s, l, half length along s, half width along l
     `(4, n, k)`.
     """
-    out = np.empty((4, x.shape[0], x.shape[1]))
+    frenet = np.empty((4, x.shape[0], x.shape[1]))
     for i in range(len(x)):
         guess, window = s_ego, 150.0
         for k in range(x.shape[1]):
@@ -424,10 +426,10 @@ def futures_frenet(
             guess, window = s, 25.0
             turn = yaw[i, k] - line_frame(knots, coef, s)[2]
             c, d = abs(cos(turn)), abs(sin(turn))
-            out[0, i, k], out[1, i, k] = s, l
-            out[2, i, k] = 0.5 * (sizes[0, i] * c + sizes[1, i] * d)
-            out[3, i, k] = 0.5 * (sizes[0, i] * d + sizes[1, i] * c)
-    return out
+            frenet[0, i, k], frenet[1, i, k] = s, l
+            frenet[2, i, k] = 0.5 * (sizes[0, i] * c + sizes[1, i] * d)
+            frenet[3, i, k] = 0.5 * (sizes[0, i] * d + sizes[1, i] * c)
+    return frenet
 
 
 @kernel
@@ -439,17 +441,17 @@ def headway(
     behind: BoolArray,
     l1: float,
     box: FloatArray,
-    wanted: FloatArray,
+    wanted_gap: FloatArray,
     changes: bool,
 ) -> FloatArray:
     """(5) of longitudinal candidates `(m, 3, k)`, as in `sample_polynomials`, on the track at
     offset `l1`: `(m,)`.
 
     `others` are `futures_frenet`, `behind` is as in `NearFutures`; `box` has the distances from the
-    rear axle to front and rear, and half the width, m; `wanted` is g0, tau; `changes`: whether the
-    track is not the ego's.
+    rear axle to front and rear, and half the width, m; `wanted_gap` is g0, tau; `changes`: whether
+    the track is not the ego's.
     """
-    out = np.zeros(len(motion))
+    costs = np.zeros(len(motion))
     for j in range(others.shape[1]):
         if behind[1, j] or (behind[0, j] and not changes):
             continue
@@ -463,9 +465,9 @@ def headway(
                     gap, v = s - box[1] - others[0, j, k] - others[2, j, k], max(speed[j], 0.0)
                 elif v < REST_MPS:
                     continue
-                missing = 1.0 - max(gap, 0.0) / (wanted[0] + wanted[1] * v)
-                out[i] += max(missing, 0.0) ** 2 / others.shape[2]  # (5)
-    return out
+                missing = 1.0 - max(gap, 0.0) / (wanted_gap[0] + wanted_gap[1] * v)
+                costs[i] += max(missing, 0.0) ** 2 / others.shape[2]  # (5)
+    return costs
 
 
 @kernel

@@ -157,7 +157,7 @@ class Pdm:
         self._rules = Rulebook(context.road, self._tracker.reference, context.vehicle)
         self._memory = RuleMemory()
         side = 1.0 if context.road.drives_on_right else -1.0
-        self._offsets = (0.0, *(sign * each for each in c.offsets_m for sign in (side, -side)))
+        self._offsets = (0.0, *(sign * offset for offset in c.offsets_m for sign in (side, -side)))
         self._driver = Driver(c.accel_mps2, c.decel_mps2, c.headway_s, c.min_gap_m, c.exponent)
 
     def plan(self, frame: Frame) -> Plan:
@@ -179,18 +179,18 @@ class Pdm:
         tracks = [self._track(scene, demanded, near, offset) for offset in self._offsets]
         self._lap("proposals")
         steps = round(c.horizon_s / STEP_S) + 1
-        profiles = [(each.path, profile) for each in tracks for profile in each.profiles]
+        profiles = [(driven.path, profile) for driven in tracks for profile in driven.profiles]
         drives = [
             track_proposal(path, profile, scene.start, car, steps) for path, profile in profiles
         ]
         self._lap("simulation")
         weights = c.w_progress, c.w_ttc, c.w_comfort
-        found = scores(np.array(drives), scene, np.flatnonzero(near), weights)
-        chosen = int(np.argmax(np.round(found.total, 9)))
+        scored = scores(np.array(drives), scene, np.flatnonzero(near), weights)
+        chosen = int(np.argmax(np.round(scored.total, 9)))
         self._lap("scores")
         track, row = tracks[chosen // len(c.speed_shares)], chosen % len(c.speed_shares)
-        internals = Internals((), lambda: self._artefacts(scene, track, row, found, chosen))
-        if found.contact[chosen] <= c.brake_within_s and frame.ego.v <= c.brake_below_mps:
+        internals = Internals((), lambda: self._artefacts(scene, track, row, scored, chosen))
+        if scored.contact[chosen] <= c.brake_within_s and frame.ego.v <= c.brake_below_mps:
             start, sigma = scene.start, np.linspace(0.0, BEYOND_M, 61)  # with the present curvature
             half = 0.5 * start.kappa * sigma
             x, y = (
@@ -201,7 +201,7 @@ class Pdm:
             profile = braking(
                 scene.v, start.a, c.brake_mps2, EMERGENCY.jerk_mps3, STEP_S, HORIZON_KNOTS
             )
-            name, within = scene.name(int(found.agent[chosen])), found.contact[chosen]
+            name, within = scene.name(int(scored.agent[chosen])), scored.contact[chosen]
             reason = f"emergency brake: the best proposal meets {name} in {within:.1f} s"
             return Plan(
                 trajectory_along(arc, profile, frame.t),
@@ -212,8 +212,8 @@ class Pdm:
         x, y, yaw, v, a, kappa = track_proposal(
             track.path, track.profiles[row], scene.start, car, HORIZON_KNOTS
         )
-        way = Trajectory(frame.t + STEP_S * np.arange(HORIZON_KNOTS), x, y, yaw, v, a, kappa)
-        return Plan(way, start=start_kind, internals=internals)
+        trajectory = Trajectory(frame.t + STEP_S * np.arange(HORIZON_KNOTS), x, y, yaw, v, a, kappa)
+        return Plan(trajectory, start=start_kind, internals=internals)
 
     def _track(
         self, scene: Scene, demanded: tuple[Occupancy, ...], near: BoolArray, offset: float
@@ -235,14 +235,14 @@ class Pdm:
         return Track(offset, path, blocks, stops, profiles)
 
     def _artefacts(
-        self, scene: Scene, track: Track, row: int, found: Scores, chosen: int
+        self, scene: Scene, track: Track, row: int, scored: Scores, chosen: int
     ) -> tuple[Artefact, ...]:
         """Both graphs of the chosen proposal, its leaders, the score terms of all, why others were
         not chosen.
         """
         named = [
-            f"{share:g} of the limit, {at:+g} m"
-            for at in self._offsets
+            f"{share:g} of the limit, {offset:+g} m"
+            for offset in self._offsets
             for share in self._config.speed_shares
         ]
         t, driven_m = STEP_S * np.arange(HORIZON_KNOTS), track.profiles[row, 0]
@@ -259,12 +259,12 @@ class Pdm:
         sl_graph = SlGraph(None, Corridor(s, right + side, left - side), np.empty((0, 2)), line, ())
         near = {decision.agent: decision for decision in decisions}.values()
         rows = [chosen, *(n for n in range(len(named)) if n != chosen)]
-        terms = [tuple(zip(PARTS[3:], found.weighted[:, n].tolist(), strict=True)) for n in rows]
+        terms = [tuple(zip(PARTS[3:], scored.weighted[:, n].tolist(), strict=True)) for n in rows]
         costs = [
-            CostTerms("taken: " * (n == chosen) + named[n], some)
-            for n, some in zip(rows, terms, strict=True)
+            CostTerms("taken: " * (n == chosen) + named[n], named_terms)
+            for n, named_terms in zip(rows, terms, strict=True)
         ]
-        worse = (found.parts < found.parts[:, chosen, None] - 1e-9)[:, rows[1:]].T
+        worse = (scored.parts < scored.parts[:, chosen, None] - 1e-9)[:, rows[1:]].T
         why = Counter(WHY_NOT[np.argmax(parts)] if parts.any() else "not better" for parts in worse)
         counted = Candidates("proposals", len(named), tuple(why.items()))
         return (
@@ -336,11 +336,11 @@ def drive_track(
     `t` `(k,)`, `lower`, `upper` `(m, k)` and `speed` `(m,)` are those of `StBoundaries`; `center`
     is the distance from the rear axle to the box's centre, m.
     """
-    out = np.empty((len(speeds), 2, HORIZON_KNOTS))
+    profiles = np.empty((len(speeds), 2, HORIZON_KNOTS))
     for n in range(len(speeds)):
         s, v, k = 0.0, start_v, 0
         for j in range(HORIZON_KNOTS):
-            out[n, 0, j], out[n, 1, j] = s, v
+            profiles[n, 0, j], profiles[n, 1, j] = s, v
             while k < len(t) - 1 and t[k + 1] <= j * STEP_S + 1e-9:
                 k += 1
             gap, v_lead = inf, 0.0
@@ -349,7 +349,7 @@ def drive_track(
                     gap, v_lead = lower[i, k] - s, speed[i]
             a = idm_acceleration(v, max(speeds[n], 0.1), gap, v_lead, driver)
             s, v = s + STEP_S * v, max(v + STEP_S * a, 0.0)
-    return out
+    return profiles
 
 
 def track_proposal(
@@ -381,10 +381,10 @@ def follow_proposal(
     The proposal has the rows x, y, yaw, kappa `(4, n)` and the `speed` `(n,)`; `start` is x, y,
     yaw, v, a, steer.
     """
-    out, last = np.empty((6, knots)), pose.shape[1] - 1
+    states, last = np.empty((6, knots)), pose.shape[1] - 1
     x, y, yaw, v, a, steer = start
     for k in range(knots):
-        out[0, k], out[1, k], out[2, k], out[3, k], out[4, k], out[5, k] = (
+        states[0, k], states[1, k], states[2, k], states[3, k], states[4, k], states[5, k] = (
             x,
             y,
             yaw,
@@ -392,20 +392,27 @@ def follow_proposal(
             a,
             tan(steer) / wheelbase,
         )
-        at, then = min(k, last), min(k + AHEAD, last)
+        knot, then = min(k, last), min(k + AHEAD, last)
         if speed[then] <= STOPPING_MPS and v <= STOPPING_MPS:
             wanted, rate = STOPPING_GAIN * (speed[then] - v), 0.0
         else:
             N = STEP_S * AHEAD
             wanted = N * Q_SPEED * (speed[then] - v) / (N * N * Q_SPEED + 1.0)  # (2)
-            e = (y - pose[1, at]) * cos(pose[2, at]) - (x - pose[0, at]) * sin(pose[2, at])
-            psi = wrap(yaw - pose[2, at])
+            e = (y - pose[1, knot]) * cos(pose[2, knot]) - (x - pose[0, knot]) * sin(pose[2, knot])
+            psi = wrap(yaw - pose[2, knot])
             # The response to a rate of 1; e and psi become that to a rate of 0
             e1, psi1, steer1 = 0.0, 0.0, 0.0
             for i in range(AHEAD):
-                way = STEP_S * max(v + i * STEP_S * wanted, 0.0)
-                e, psi = e + way * psi, psi + way * (steer / wheelbase - pose[3, min(at + i, last)])
-                e1, psi1, steer1 = e1 + way * psi1, psi1 + way * steer1 / wheelbase, steer1 + STEP_S
+                step_m = STEP_S * max(v + i * STEP_S * wanted, 0.0)
+                e, psi = (
+                    e + step_m * psi,
+                    psi + step_m * (steer / wheelbase - pose[3, min(knot + i, last)]),
+                )
+                e1, psi1, steer1 = (
+                    e1 + step_m * psi1,
+                    psi1 + step_m * steer1 / wheelbase,
+                    steer1 + STEP_S,
+                )
             psi = atan2(sin(psi), cos(psi))
             gain = Q_OFFSET * e1**2 + Q_HEADING * psi1**2 + 1.0
             rate = -(Q_OFFSET * e1 * e + Q_HEADING * psi1 * psi) / gain  # (3)
@@ -420,4 +427,4 @@ def follow_proposal(
         steer = min(
             max(steer + STEP_S / (STEP_S + STEER_LAG_S) * STEP_S * rate, -max_steer), max_steer
         )
-    return out
+    return states

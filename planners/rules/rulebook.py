@@ -200,9 +200,11 @@ class Rulebook:
             set(memory.taken),
             dict(memory.since),
         )
-        found = [stop for line in self._lines if (stop := self._at_line(line, visit)) is not None]
-        found += self._at_zones(visit, min((stop.s_from for stop in found), default=inf))
-        return tuple(sorted(found, key=lambda stop: stop.s_from)), visit.remembered(found)
+        demanded = [
+            stop for line in self._lines if (stop := self._at_line(line, visit)) is not None
+        ]
+        demanded += self._at_zones(visit, min((stop.s_from for stop in demanded), default=inf))
+        return tuple(sorted(demanded, key=lambda stop: stop.s_from)), visit.remembered(demanded)
 
     def _at_line(self, line: StopLineAhead, visit: _Visit) -> Occupancy | None:
         """The stop at a line, by (1) to (3)."""
@@ -285,9 +287,15 @@ class Rulebook:
             taken = windows(zone, self._reference.line, self._road, scene.frame)
             less = KEPT_S if zone.name in visit.taken else 0.0
             against = [
-                each for each in taken if not self._passes(zone, each, t_in, t_out, later, less)
+                stretch
+                for stretch in taken
+                if not self._passes(zone, stretch, t_in, t_out, later, less)
             ]
-            waits, has_waited, ego = all(each.waits for each in against), False, scene.frame.ego
+            waits, has_waited, ego = (
+                all(stretch.waits for stretch in against),
+                False,
+                scene.frame.ego,
+            )
             late = late and not waits
             # Only standing pedestrians: the ego goes first after it has stood long enough
             if against and waits:
@@ -301,9 +309,12 @@ class Rulebook:
                 visit.taken.add(zone.name)
                 return None
             first, until = against[0], self._release(zone, visit, taken, sooner)
-            end, out = (f"to {t:.1f} s" if isfinite(t) else "on" for t in (first.end, t_out))
-            why = f"{scene.name(first.agent)} goes first: takes it from {first.begin:.1f} s {end}, "
-            why += f"the ego would from {t_in:.1f} s {out}"
+            from_text, until_text = (
+                f"to {t:.1f} s" if isfinite(t) else "on" for t in (first.end, t_out)
+            )
+            name = scene.name(first.agent)
+            why = f"{name} goes first: takes it from {first.begin:.1f} s {from_text}, "
+            why += f"the ego would from {t_in:.1f} s {until_text}"
         for hold in zone.holds if why else ():
             room = hold - front
             if room >= 0.0 and (visit.hard if held or late else visit.soft) <= room:
@@ -357,7 +368,7 @@ class Rulebook:
 
         inf if it does not within the horizon.
         """
-        hold = next(each for each in zone.holds if each >= visit.scene.front)
+        hold = next(place for place in zone.holds if place >= visit.scene.front)
         go = self._drive_profile(hold - self._vehicle.axle_to_front, 0.0, 0.0)
         fastest = float(np.interp(hold, self._reference.line.s, self._limit))
         enters, leaves = (zone.s_in - hold) / max(fastest, 1.0), self._passage(zone, hold, go)[1]

@@ -125,12 +125,12 @@ def lines_along(road: Road, reference: ReferencePath, width: float) -> tuple[Sto
     """The stop lines of a reference path that lights or stop signs may make the ego stop at, in
     driving order.
     """
-    found = [
+    lines = [
         (mark, _stop_station(mark, reference.line, width)) for mark in _marks(road, reference.lanes)
     ]
     binding = [
         StopLineAhead(mark.id, s, mark.light, mark.must_stop)
-        for mark, s in found
+        for mark, s in lines
         if s is not None and (mark.light is not None or mark.must_stop)
     ]
     return tuple(sorted(binding, key=lambda line: (line.s, line.id)))
@@ -152,7 +152,7 @@ def zones_along(
         if not len(close):
             continue
         s = np.arange(float(line.s[close[0]]) - 1.0, float(line.s[close[-1]]) + 1.0, 0.5 * STEP_M)
-        x, y, yaw, _ = np.array([line.frame(at) for at in s]).T
+        x, y, yaw, _ = np.array([line.frame(station_m) for station_m in s]).T
         near = (low[0] <= x) & (x <= high[0]) & (low[1] <= y) & (y <= high[1])
         c, d = np.cos(yaw), np.sin(yaw)
         over = [
@@ -213,8 +213,8 @@ def _priorities(road: Road, reference: ReferencePath, vehicle: VehicleParameters
     """The zones (2); one per priority lane, even where two consecutive lanes of the ego meet it."""
     yielding = [road.lanes[i] for i in reference.lanes if road.lanes[i].yields_to]
     before = predecessors(road.lanes) if yielding else {}
-    found: list[Zone] = []
-    for own, first in [(mine, other) for mine in yielding for other in mine.yields_to]:
+    zones: list[Zone] = []
+    for own, first in [(lane, other) for lane in yielding for other in lane.yields_to]:
         if first not in road.lanes or first in reference.lanes:
             continue
         zone = _conflict(reference.line, own, road.lanes[first], vehicle.width)
@@ -225,10 +225,10 @@ def _priorities(road: Road, reference: ReferencePath, vehicle: VehicleParameters
             zone, by=replace(zone.by, feeds=_feeds(road, first, before, reference.lanes))
         )
         same = [
-            old for old in found if old.name == zone.name and zone.s_in - old.s_out < vehicle.length
+            old for old in zones if old.name == zone.name and zone.s_in - old.s_out < vehicle.length
         ]
         if not same:
-            found.append(zone)
+            zones.append(zone)
             continue
         old = same[0]
         assert isinstance(old.by, Priority) and isinstance(zone.by, Priority)
@@ -236,8 +236,8 @@ def _priorities(road: Road, reference: ReferencePath, vehicle: VehicleParameters
         boxes, merges = np.vstack([old.by.boxes, zone.by.boxes]), old.by.merges or zone.by.merges
         by = replace(old.by, p_in=p_in, p_out=p_out, boxes=boxes, merges=merges)
         whole = replace(old, by=by, s_in=min(old.s_in, zone.s_in), s_out=max(old.s_out, zone.s_out))
-        found[found.index(old)] = whole
-    return found
+        zones[zones.index(old)] = whole
+    return zones
 
 
 def _conflict(line: ReferenceLine, lane: Lane, other: Lane, width: float) -> Zone | None:
@@ -246,7 +246,7 @@ def _conflict(line: ReferenceLine, lane: Lane, other: Lane, width: float) -> Zon
     first, _ = line.project(x0, y0)
     last, _ = line.project(x1, y1, first + lane.length)
     s = np.arange(first, max(last, first + STEP_M), STEP_M)
-    frames = np.array([line.frame(at) for at in s])
+    frames = np.array([line.frame(station) for station in s])
     reach = 0.5 * width + HALF_CAR_M + SIDE_M
     met = np.flatnonzero(distances(frames[:, :2], other.center) < reach)  # (2)
     if not len(met):
@@ -255,15 +255,23 @@ def _conflict(line: ReferenceLine, lane: Lane, other: Lane, width: float) -> Zon
     chord = arc_lengths(*other.center.T)
     p = np.arange(0.0, chord[-1] + STEP_M, STEP_M)
     points = np.column_stack([np.interp(p, chord, other.center[:, k]) for k in (0, 1)])
-    theirs = np.flatnonzero(
+    other_points = np.flatnonzero(
         distances(points, np.ascontiguousarray(frames[first : last + 1, :2])) < reach
     )
-    kept = frames[np.unique(np.r_[np.arange(first, last, 4), last])]
+    outline = frames[np.unique(np.r_[np.arange(first, last, 4), last])]
     boxes = np.column_stack(
-        [kept[:, :3], np.full(len(kept), 4.0 * STEP_M), np.full(len(kept), width + 2.0 * SIDE_M)]
+        [
+            outline[:, :3],
+            np.full(len(outline), 4.0 * STEP_M),
+            np.full(len(outline), width + 2.0 * SIDE_M),
+        ]
     )
     merges = hypot(*(lane.center[-1] - other.center[-1])) < MERGED_M
-    ends = (float(p[theirs[0]]), float(p[theirs[-1]])) if len(theirs) else (0.0, float(chord[-1]))
+    ends = (
+        (float(p[other_points[0]]), float(p[other_points[-1]]))
+        if len(other_points)
+        else (0.0, float(chord[-1]))
+    )
     return Zone(
         f"lane {other.id}",
         Priority(other, {}, *ends, boxes, merges),
@@ -278,23 +286,23 @@ def _feeds(
     """The lanes that lead to a lane within `FEED_M`, but not the ego's own, with the lights on the
     way to it.
     """
-    found: dict[int, tuple[int, ...]] = {lane: ()}
+    ways_to_lane: dict[int, tuple[int, ...]] = {lane: ()}
     queue, taken = [(lane, 0.0)], set(own)
     while queue:
-        at, length = queue.pop(0)
-        for previous in before.get(at, ()):
-            if previous in found or previous in taken or length >= FEED_M:
+        lane_id, length = queue.pop(0)
+        for previous in before.get(lane_id, ()):
+            if previous in ways_to_lane or previous in taken or length >= FEED_M:
                 continue
             lights = (
                 mark.light
                 for mark in road.stop_lines
                 if mark.lane == previous
                 and mark.light is not None
-                and (not mark.towards or at in mark.towards)
+                and (not mark.towards or lane_id in mark.towards)
             )
-            found[previous] = (*found[at], *lights)
+            ways_to_lane[previous] = (*ways_to_lane[lane_id], *lights)
             queue.append((previous, length + road.lanes[previous].length))
-    return found
+    return ways_to_lane
 
 
 def turned(lane: Lane, x: float, y: float, yaw: float) -> float:
@@ -314,15 +322,16 @@ def distances(points: FloatArray, line: FloatArray) -> FloatArray:
     """Distance `(n,)` of each point `(n, 2)` from a polyline `(k, 2)`, m, which may be one
     point.
     """
-    out = np.empty(len(points))
+    nearest = np.empty(len(points))
     for i in range(len(points)):
         x, y = points[i, 0], points[i, 1]
-        out[i] = hypot(x - line[0, 0], y - line[0, 1])
+        nearest[i] = hypot(x - line[0, 0], y - line[0, 1])
         for k in range(1, len(line)):
-            out[i] = min(
-                out[i], point_segment(x, y, line[k - 1, 0], line[k - 1, 1], line[k, 0], line[k, 1])
+            nearest[i] = min(
+                nearest[i],
+                point_segment(x, y, line[k - 1, 0], line[k - 1, 1], line[k, 0], line[k, 1]),
             )
-    return out
+    return nearest
 
 
 @dataclass(frozen=True, slots=True)
@@ -342,12 +351,12 @@ class ZoneTime:
 
 def windows(zone: Zone, line: ReferenceLine, road: Road, frame: Frame) -> tuple[ZoneTime, ...]:
     """The windows in which agents take a zone, in order of their begin."""
-    found = (
+    spans = (
         _walking(zone, zone.by, line, frame)
         if isinstance(zone.by, Walk)
         else _driving(zone.by, road, frame)
     )
-    return tuple(sorted(found, key=lambda window: (window.begin, window.end, window.agent)))
+    return tuple(sorted(spans, key=lambda window: (window.begin, window.end, window.agent)))
 
 
 def _walking(zone: Zone, walk: Walk, line: ReferenceLine, frame: Frame) -> Iterator[ZoneTime]:
@@ -373,20 +382,24 @@ def _walking(zone: Zone, walk: Walk, line: ReferenceLine, frame: Frame) -> Itera
         comes = now - soon > 0.1 * TOWARDS_MPS or stands
         if not (inside(x, y, polygon) or (now < EDGE_M and comes)):
             continue
-        rows, yaw, way = np.flatnonzero(futures.agent == i), agents.yaw[i], START_MPS * ahead
-        found = [
+        rows, yaw, walked = np.flatnonzero(futures.agent == i), agents.yaw[i], START_MPS * ahead
+        spans = [
             window
             for row in rows
             for window in _span(
                 _on_half(zone, walk, line, futures.x[row], futures.y[row]), ahead, i, frame
             )
         ]
-        if stands and not found:
+        if stands and not spans:
             taken = _on_half(
-                zone, walk, line, agents.x[i] + way * np.cos(yaw), agents.y[i] + way * np.sin(yaw)
+                zone,
+                walk,
+                line,
+                agents.x[i] + walked * np.cos(yaw),
+                agents.y[i] + walked * np.sin(yaw),
             )
-            found = list(_span(taken, ahead, i, frame))
-        yield from (replace(window, end=inf, waits=True) if stands else window for window in found)
+            spans = list(_span(taken, ahead, i, frame))
+        yield from (replace(window, end=inf, waits=True) if stands else window for window in spans)
 
 
 def _on_half(
@@ -435,8 +448,8 @@ def _driving(priority: Priority, road: Road, frame: Frame) -> Iterator[ZoneTime]
                 priority.boxes, futures.x[rows], futures.y[rows], futures.yaw[rows], size
             )
             if futures.probability[rows][touches.any(axis=1)].sum() >= UNLIKELY:  # (3)
-                for mine in touches:
-                    yield from _span(mine, futures.t - frame.t, i, frame)
+                for touched in touches:
+                    yield from _span(touched, futures.t - frame.t, i, frame)
 
 
 def _passage(priority: Priority, i: int, frame: Frame) -> Iterator[ZoneTime]:
@@ -468,10 +481,10 @@ def _span(taken: BoolArray, ahead: FloatArray, i: int, frame: Frame) -> Iterator
 
     It has no end if that is the last time of the predictions.
     """
-    at = np.flatnonzero(taken)
-    if len(at):
-        end = inf if at[-1] == len(ahead) - 1 else float(ahead[at[-1]])
-        yield ZoneTime(float(ahead[at[0]]), end, i, float(frame.agents.speed[i]))
+    samples = np.flatnonzero(taken)
+    if len(samples):
+        end = inf if samples[-1] == len(ahead) - 1 else float(ahead[samples[-1]])
+        yield ZoneTime(float(ahead[samples[0]]), end, i, float(frame.agents.speed[i]))
 
 
 @kernel
@@ -481,7 +494,7 @@ def _boxes_touched(
     """Which boxes at `(n, k)` poses of one size (length, width) overlap any of the `boxes`
     `(m, 5)`.
     """
-    out = np.zeros(x.shape, np.bool_)
+    touched = np.zeros(x.shape, np.bool_)
     for i in range(x.shape[0]):
         for k in range(x.shape[1]):
             for j in range(len(boxes)):
@@ -497,6 +510,6 @@ def _boxes_touched(
                     size[0],
                     size[1],
                 ):
-                    out[i, k] = True
+                    touched[i, k] = True
                     break
-    return out
+    return touched

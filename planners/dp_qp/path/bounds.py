@@ -146,12 +146,12 @@ def standing_obstacles(
         line.s, line.coef, scene.bodies, scene.standing, scene.agents.s, left, right, near
     )
     begin, end = scene.rear, scene.front + length
-    found = [
+    boxes_ahead = [
         Occupancy(ids[i], *box)
         for i, box in zip(rows.tolist(), boxes.tolist(), strict=True)
         if box[1] > begin and box[0] < end
     ]
-    return tuple(sorted(found, key=lambda box: (box.s_from, box.agent)))
+    return tuple(sorted(boxes_ahead, key=lambda box: (box.s_from, box.agent)))
 
 
 @kernel
@@ -195,25 +195,25 @@ def _standing_boxes(
     return rows[:count].copy(), boxes[:count].copy()
 
 
-def borrowed_road(way: InTheWay, speed: float, vehicle: VehicleParameters) -> Borrowed:
+def borrowed_road(in_the_way: InTheWay, speed: float, vehicle: VehicleParameters) -> Borrowed:
     """The road beside the lane that the ego uses to pass obstacles at this speed: a free
     neighbouring lane.
 
     It uses the facing lane, too, for obstacles that it may pass there.
     """
-    if not way.obstacles:
+    if not in_the_way.obstacles:
         return NOTHING
     spans = [
-        (*swing_span(box, speed, vehicle), 2.0 if box.agent in way.facing else 1.0)
-        for box in way.obstacles
+        (*swing_span(box, speed, vehicle), 2.0 if box.agent in in_the_way.facing else 1.0)
+        for box in in_the_way.obstacles
     ]
-    return Borrowed(np.array(spans), way.left, way.right)
+    return Borrowed(np.array(spans), in_the_way.left, in_the_way.right)
 
 
 def lane_bounds(
     reference: ReferencePath,
     s: FloatArray,
-    way: InTheWay,
+    in_the_way: InTheWay,
     speed: float,
     vehicle: VehicleParameters,
     config: CorridorConfig,
@@ -223,7 +223,11 @@ def lane_bounds(
     """
     side = 0.5 * vehicle.width + config.edge_m
     edges = lane_edges(
-        reference.line.s, reference.table, s.ravel(), borrowed_road(way, speed, vehicle), side
+        reference.line.s,
+        reference.table,
+        s.ravel(),
+        borrowed_road(in_the_way, speed, vehicle),
+        side,
     )
     return PathBounds(s, *edges.reshape(2, *s.shape))
 
@@ -308,7 +312,7 @@ def side_choices(
     """The options for obstacles within the bounds of the ego's points."""
     if not obstacles:
         return []
-    found = []
+    choices = []
     for box, (lower, upper) in zip(obstacles, space.room(obstacles, vehicle, config), strict=True):
         left, right = side_gaps(box, lower, upper, vehicle)
         settled, most = None, max(left, right)
@@ -319,8 +323,8 @@ def side_choices(
         elif most < config.min_clearance_m:
             reason = f"no room: {max(left, 0.0):.2f} m left, {max(right, 0.0):.2f} m right"
             settled = Decision(box.agent, DecisionKind.STOP, "path", reason)
-        found.append(SideChoice(box, left, right, settled))
-    return found
+        choices.append(SideChoice(box, left, right, settled))
+    return choices
 
 
 def narrow_bounds(
@@ -368,16 +372,18 @@ def check_clearance(
     if not any(decision.kind in SIDES for decision in decisions):
         return {}, decisions
     rooms, final = dict[str, float](), []
-    for box, each, (most, least) in zip(
+    for box, planned, (most, least) in zip(
         obstacles, decisions, path.room(obstacles, vehicle, config), strict=True
     ):
-        decision = each
-        if each.kind in SIDES:
-            beside = least - box.l_to if each.kind is DecisionKind.NUDGE_LEFT else box.l_from - most
+        decision = planned
+        if planned.kind in SIDES:
+            beside = (
+                least - box.l_to if planned.kind is DecisionKind.NUDGE_LEFT else box.l_from - most
+            )
             room = rooms[box.agent] = beside - 0.5 * vehicle.width
             if room < config.min_clearance_m - TOLERANCE_M:
                 reason = f"steering cannot keep clear of it: {room:.2f} m"
-                decision = Decision(each.agent, DecisionKind.STOP, "path", reason)
+                decision = Decision(planned.agent, DecisionKind.STOP, "path", reason)
         final.append(decision)
     return rooms, tuple(final)
 
@@ -387,6 +393,6 @@ def _boxes(obstacles: Sequence[Occupancy], decisions: Sequence[Decision] = ()) -
 
     Without decisions the side is 0.
     """
-    ways = [SIDES.get(decision.kind, 0.0) for decision in decisions] or [0.0] * len(obstacles)
-    both = zip(obstacles, ways, strict=True)
-    return np.array([(box.s_from, box.s_to, box.l_from, box.l_to, way) for box, way in both])
+    sides = [SIDES.get(decision.kind, 0.0) for decision in decisions] or [0.0] * len(obstacles)
+    pairs = zip(obstacles, sides, strict=True)
+    return np.array([(box.s_from, box.s_to, box.l_from, box.l_to, side) for box, side in pairs])

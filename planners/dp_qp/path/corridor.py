@@ -161,9 +161,9 @@ def lane_edges(
     line_s: FloatArray, table: FloatArray, s: FloatArray, borrowed: Borrowed, side: float
 ) -> FloatArray:
     """Lower and upper of (1) `(2, k)` at stations `(k,)`; `side` m are kept to each edge."""
-    out = np.empty((2, len(s)))
-    within_lane(sections(line_s, table, s), s, borrowed, side, out[0], out[1])
-    return out
+    edges = np.empty((2, len(s)))
+    within_lane(sections(line_s, table, s), s, borrowed, side, edges[0], edges[1])
+    return edges
 
 
 @inner_kernel
@@ -356,15 +356,15 @@ def room_beside(
 
     Bounds `(points, n)` at stations of that shape; boxes as in `narrowed_beside`.
     """
-    out = np.empty((len(boxes), 2))
+    room = np.empty((len(boxes), 2))
     for b in range(len(boxes)):
         least, most = -np.inf, np.inf
         for k in range(s.shape[0]):
             for i in range(s.shape[1]):
                 if _is_beside(s[k, i], boxes[b], gap):
                     least, most = max(least, lower[k, i]), min(most, upper[k, i])
-        out[b, 0], out[b, 1] = least, most
-    return out
+        room[b, 0], room[b, 1] = least, most
+    return room
 
 
 @kernel
@@ -385,18 +385,18 @@ def narrowed_beside(
     space if that is at least `least`, m; `side` is half the ego's width. Returns the bounds, the
     space beside the ego `(b,)`, m, and which boxes close them.
     """
-    out = np.empty((2, s.shape[0], s.shape[1]))
-    out[0], out[1] = lower, upper
+    narrowed = np.empty((2, s.shape[0], s.shape[1]))
+    narrowed[0], narrowed[1] = lower, upper
     room, closed = np.full(len(boxes), np.inf), np.zeros(len(boxes), np.bool_)
     for b in range(len(boxes)):
         left = boxes[b, 4] > 0.0
         if boxes[b, 4] == 0.0:
             continue
-        low, high = room_beside(s, out[0], out[1], boxes[b : b + 1], gap)[0]
+        low, high = room_beside(s, narrowed[0], narrowed[1], boxes[b : b + 1], gap)[0]
         room[b] = high - boxes[b, 3] - side if left else boxes[b, 2] - side - low
-        kept = min(clearance, room[b] - 0.02)
-        edge = boxes[b, 3] + side + kept if left else boxes[b, 2] - side - kept
-        tried = out.copy()
+        distance = min(clearance, room[b] - 0.02)
+        edge = boxes[b, 3] + side + distance if left else boxes[b, 2] - side - distance
+        tried = narrowed.copy()
         closed[b] = room[b] < least
         for k in range(s.shape[0]):
             for i in range(s.shape[1]):
@@ -407,8 +407,8 @@ def narrowed_beside(
                         tried[1, k, i] = min(tried[1, k, i], edge)
                     closed[b] |= tried[0, k, i] > tried[1, k, i]
         if not closed[b]:
-            out = tried
-    return out, room, closed
+            narrowed = tried
+    return narrowed, room, closed
 
 
 @inner_kernel
@@ -429,21 +429,24 @@ def expected_speed(
     """Speed `(n,)` at stations `step` m apart, m/s: that of limit and curves, braking with `decel`
     at most.
     """
-    out = np.empty(len(limit))
+    expected = np.empty(len(limit))
     for i in range(len(limit)):
-        out[i] = min(limit[i], sqrt(lateral / max(abs(kappa[i]), 1e-6)))
+        expected[i] = min(limit[i], sqrt(lateral / max(abs(kappa[i]), 1e-6)))
     for i in range(len(limit) - 2, -1, -1):
-        most = out[i + 1] ** 2 + 2.0 * decel * step
-        if out[i] ** 2 > most:
-            out[i] = sqrt(most)
-    out[0] = v0
+        most = expected[i + 1] ** 2 + 2.0 * decel * step
+        if expected[i] ** 2 > most:
+            expected[i] = sqrt(most)
+    expected[0] = v0
     for i in range(1, len(limit)):
-        least, most = out[i - 1] ** 2 - 2.0 * decel * step, out[i - 1] ** 2 + 2.0 * accel * step
-        if out[i] ** 2 > most:
-            out[i] = sqrt(most)
-        elif out[i] ** 2 < least:
-            out[i] = sqrt(least)
-    return out
+        least, most = (
+            expected[i - 1] ** 2 - 2.0 * decel * step,
+            expected[i - 1] ** 2 + 2.0 * accel * step,
+        )
+        if expected[i] ** 2 > most:
+            expected[i] = sqrt(most)
+        elif expected[i] ** 2 < least:
+            expected[i] = sqrt(least)
+    return expected
 
 
 @inner_kernel
@@ -461,15 +464,15 @@ def _reach(
     `(n - 1,)` permit.
     """
     n = len(aim)
-    out = np.empty((3, n))
-    out[:, 0] = start[:3]
+    reach = np.empty((3, n))
+    reach[:, 0] = start[:3]
     for i in range(n - 1):
-        now = out[2, i]
+        now = reach[2, i]
         then = min(max(aim[i + 1], now + step * low[i]), now + step * high[i])  # (8)
-        out[2, i + 1] = then
-        out[1, i + 1] = out[1, i] + 0.5 * step * (now + then)
-        out[0, i + 1] = out[0, i] + step * out[1, i] + step * step * (now / 3.0 + then / 6.0)
-    return out
+        reach[2, i + 1] = then
+        reach[1, i + 1] = reach[1, i] + 0.5 * step * (now + then)
+        reach[0, i + 1] = reach[0, i] + step * reach[1, i] + step * step * (now / 3.0 + then / 6.0)
+    return reach
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""Which moving or blocking agents the path passes, where, and on which lane.
+"""Which slower agents along the lane the path passes, and where.
 
 Pedestrians and cyclists along the lane, slower than the ego: their position while the ego passes
     depends on the ego's speed, and the permitted speed (`caps.passing_caps`) depends on the room
@@ -12,23 +12,8 @@ Pedestrians and cyclists along the lane, slower than the ego: their position whi
 
 The ego follows an agent that it cannot pass before the predictions end, or could pass only near a
 place where lanes part or meet, where it may have to wait, or where others cross. Once it is beside
-an agent, the ego cannot turn back.
-
-An agent that blocks the lane and leaves no room on either side of the road, and is in no queue, is
-passed on the lane of the opposite direction where the marking between may be crossed and, for the
-whole stretch from where the ego leaves its lane to where it is back,
-
-(3) no agent is predicted on the oncoming lane there until the ego is back, and `facing_margin_s`
-    more; and no standing agent there leaves too little room for the ego, because more agents may be
-    behind it,
-(4) (BACK_M behind the obstacle - s) / max(v, PASSING_MPS) + facing_margin_s <= horizon
-        of the predictions.
-
-Otherwise the ego waits `WAIT_M` before it, from where it can still steer round it. For an agent
-along the lane, (4) takes the time at which the plan reaches the place, and the sensor must
-
-(5) see the oncoming lane far enough that a vehicle beyond it, at the speed limit, cannot violate
-    (3) (StVO, 5 (2)).
+an agent, the ego cannot turn back. Where an agent leaves too little room in the lane, the ego
+passes it on the lane of the opposite direction (`oncoming_lane`).
 """
 
 from __future__ import annotations
@@ -41,20 +26,14 @@ from typing import NamedTuple
 import numpy as np
 
 from replan.core.arrays import BoolArray, FloatArray
-from replan.core.kernel import kernel
+from replan.core.kernel import inner_kernel, kernel
 from replan.logs.agents import AgentKind, among
-from replan.logs.reference_line import line_project, line_project_many
-from replan.logs.vehicle import VehicleParameters
-from replan.planners.dp_qp.path.bounds import (
-    CorridorConfig,
-    InTheWay,
-    PathBounds,
-    side_gaps,
-    swing_span,
-)
+from replan.logs.reference_line import line_project
+from replan.planners.dp_qp.path.bounds import CorridorConfig, InTheWay, swing_span
+from replan.planners.dp_qp.path.oncoming_lane import passed_by_oncoming_lane, widest_gaps
 from replan.planners.frenet.path import interpolated
 from replan.planners.frenet.profiles import STEP_S
-from replan.planners.frenet.reference_path import CrossSections, ReferencePath
+from replan.planners.frenet.reference_path import CrossSections
 from replan.planners.frenet.scene import UNLIKELY, AgentsAlong, Bodies, Futures, Occupancy, Scene
 
 PASSED = among(AgentKind.PEDESTRIAN, AgentKind.BICYCLE)
@@ -68,11 +47,8 @@ in towns (StVO, 5 (4)); where there is less space, 1.15 m.
 A plan that passes keeps this space. If the ego keeps its lane, only `caps.passing_caps` limits its
 speed.
 """
-ROAD_RIGHT, ROAD_LEFT = (
-    CrossSections._fields.index("road_right"),
-    CrossSections._fields.index("road_left"),
-)
-"""Rows of `Scene.across`."""
+ROAD_RIGHT = CrossSections._fields.index("road_right")  # Rows of `Scene.across`
+ROAD_LEFT = CrossSections._fields.index("road_left")
 ALONG_RAD = 0.4  # An agent whose heading differs more from the lane crosses it, rad
 SLACK = 1.5  # Factor by which agents that the ego is passing may exceed `SLOW_MPS` and `ALONG_RAD`
 GAIN_MPS2 = 1.2  # Assumed acceleration of an ego on a free road, m/s2
@@ -81,13 +57,7 @@ REACH_M = 120.0  # Agents farther away are ignored, m
 # Time before the end of the predictions by which the ego must be past agents that it begins to
 # pass, s
 SPARE_S = 1.0
-PASSING_MPS = 5.0  # Least assumed speed while passing (4), m/s
-BACK_M = 10.0  # The ego is back in its lane this far behind the obstacle (4), m
-WAIT_M = 9.0  # Gap between the waiting ego's front and the obstacle, m; enough to steer round it
-NEARLY_M = 1.0  # A gap that is wider than the ego by less than this may be blocked, m
-SIGHT_M = 5.0  # Distance between two points of the oncoming lane that must be visible, m
-QUEUE_M = 25.0  # An obstacle nearer than this to another one in the lane stands in a queue, m
-ROOM_M = 0.5  # The ego waits for the oncoming lane only if that leaves this much space beside it, m
+SEARCH_M = 60.0  # An agent is searched on the line up to this far beyond the ego's last station, m
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -106,6 +76,14 @@ class PassTarget:
     places: FloatArray
 
 
+class _EgoPlace(NamedTuple):
+    """The ego's position, m, and the station of its rear, m."""
+
+    x: float
+    y: float
+    rear: float
+
+
 def find_slow_agents(scene: Scene, passed: frozenset[str] = frozenset()) -> list[int]:
     """The agents ahead of the ego or beside it that walk or ride along the road in its direction.
 
@@ -113,77 +91,74 @@ def find_slow_agents(scene: Scene, passed: frozenset[str] = frozenset()) -> list
     `SLACK`.
     """
     agents, ego = scene.frame.agents, scene.frame.ego
-    may = PASSED[agents.codes] & ~scene.standing
-    if not may.any() or not len(scene.frame.predictions.t):
+    may_be_passed = PASSED[agents.codes] & ~scene.standing
+    if not may_be_passed.any() or not len(scene.frame.predictions.t):
         return []
-    slack = (
-        np.array([SLACK if name in passed else 1.0 for name in agents.ids])
-        if passed
-        else np.ones(len(may))
+    slack = np.array([SLACK if name in passed else 1.0 for name in agents.ids])
+    place = _EgoPlace(ego.x, ego.y, scene.rear)
+    along = _goes_along(
+        may_be_passed, slack, scene.speed, scene.agents, scene.across, scene.bodies, place
     )
-    place = ego.x, ego.y, scene.rear
-    return (
-        _goes_along(may, slack, scene.speed, scene.agents, scene.across, scene.bodies, place)
-        .nonzero()[0]
-        .tolist()
-    )
+    return along.nonzero()[0].tolist()
 
 
 @kernel
 def _goes_along(
-    may: BoolArray,
+    may_be_passed: BoolArray,
     slack: FloatArray,
     speed: FloatArray,
     along: AgentsAlong,
     across: FloatArray,
     bodies: Bodies,
-    ego: tuple[float, float, float],
+    ego: _EgoPlace,
 ) -> BoolArray:
-    """Which of the agents `may` `(n,)` move along the lane, each with its slack; `ego` is x, y,
-    station of the rear.
-    """
-    out = np.zeros(len(may), np.bool_)
-    for i in range(len(may)):
-        near, half = (
-            hypot(bodies.x[i] - ego[0], bodies.y[i] - ego[1]) < REACH_M,
-            0.5 * bodies.length[i],
-        )
-        if may[i] and near and speed[i] <= slack[i] * SLOW_MPS and along.s[i] + half > ego[2]:
+    """Which of the agents `may_be_passed` `(n,)` move along the lane, each with its slack."""
+    goes_along = np.zeros(len(may_be_passed), np.bool_)
+    for i in range(len(may_be_passed)):
+        is_near = hypot(bodies.x[i] - ego.x, bodies.y[i] - ego.y) < REACH_M
+        half = 0.5 * bodies.length[i]
+        is_slow = speed[i] <= slack[i] * SLOW_MPS
+        if may_be_passed[i] and is_near and is_slow and along.s[i] + half > ego.rear:
             on_road = across[ROAD_RIGHT, i] - half < along.l[i] < across[ROAD_LEFT, i] + half
-            out[i] = on_road and atan2(abs(along.v_l[i]), along.v_s[i]) <= slack[i] * ALONG_RAD
-    return out
+            turn = atan2(abs(along.v_l[i]), along.v_s[i])
+            goes_along[i] = on_road and turn <= slack[i] * ALONG_RAD
+    return goes_along
 
 
 def pass_targets(
-    scene: Scene, who: Sequence[int], stations: FloatArray, passed: frozenset[str] = frozenset()
+    scene: Scene, agents: Sequence[int], stations: FloatArray, passed: frozenset[str] = frozenset()
 ) -> tuple[PassTarget, ...]:
-    """The boxes (2) of the agents `who`, for an ego at `stations` `(k,)` at the times of the
+    """The boxes (2) of some agents, by index, for an ego at `stations` `(k,)` at the times of the
     predictions.
 
     Agents that the ego does not come beside, or does not pass before the last of these times, are
     left out; unless it is passing them already, it must be past them `SPARE_S` earlier.
     """
-    agents, futures, line, car, found = (
-        scene.frame.agents,
-        scene.futures,
-        scene.reference.line,
-        scene.vehicle,
-        [],
-    )
+    all_agents, futures, car = scene.frame.agents, scene.futures, scene.vehicle
+    line = _Line(scene.reference.line.s, scene.reference.line.coef, scene.reference.line.yaw)
     t = np.arange(futures.t[0], futures.t[-1] + 1e-9, STEP_S)
-    for i in who:
-        spare = 0.0 if agents.ids[i] in passed else SPARE_S
+    targets = []
+    for i in agents:
+        name = all_agents.ids[i]
+        spare = 0.0 if name in passed else SPARE_S
         ego = Passer(t, stations, scene.s, car.axle_to_front, car.rear_overhang, spare)
+        size = all_agents.length[i], all_agents.width[i]
         (s_from, s_to, l_from, l_to), (begin, end), places = _boxes_along(
-            line.s, line.coef, line.yaw, futures, i, (agents.length[i], agents.width[i]), ego
+            line, futures, i, size, ego
         )
         if isfinite(begin):
             # (2)
-            box = Occupancy(
-                agents.ids[i], s_from, s_to, l_from - ASIDE_M, l_to + ASIDE_M, aside=ASIDE_M
-            )
-            found.append(PassTarget(i, box, begin, end, places))
-    return tuple(sorted(found, key=lambda one: (one.box.s_from, one.box.agent)))
+            box = Occupancy(name, s_from, s_to, l_from - ASIDE_M, l_to + ASIDE_M, aside=ASIDE_M)
+            targets.append(PassTarget(i, box, begin, end, places))
+    return tuple(sorted(targets, key=lambda target: (target.box.s_from, target.box.agent)))
+
+
+class _Line(NamedTuple):
+    """A reference line for kernels: stations `(n,)`, m, coefficients, and headings `(n,)`, rad."""
+
+    s: FloatArray
+    coef: FloatArray
+    yaw: FloatArray
 
 
 class Passer(NamedTuple):
@@ -202,68 +177,89 @@ class Passer(NamedTuple):
     spare: float
 
 
+class _Footprint(NamedTuple):
+    """An agent at one time: its centre in the world and along the line, and half its extents along
+    s and l, m.
+    """
+
+    x: float
+    y: float
+    s: float
+    l: float
+    half_s: float
+    half_l: float
+
+
+@inner_kernel
+def _footprint(
+    line: _Line,
+    futures: Futures,
+    row: int,
+    t: float,
+    size: tuple[float, float],
+    guess: float,
+    reach: float,
+) -> _Footprint:
+    """An agent at time t of a prediction; its station is searched within `reach` of `guess`, m."""
+    x, y = interpolated(t, futures.t, futures.x[row]), interpolated(t, futures.t, futures.y[row])
+    s, l = line_project(line.s, line.coef, x, y, guess, reach)
+    turn = interpolated(t, futures.t, futures.yaw[row]) - interpolated(s, line.s, line.yaw)
+    c, d = abs(cos(turn)), abs(sin(turn))
+    length, width = size
+    return _Footprint(x, y, s, l, 0.5 * (c * length + d * width), 0.5 * (d * length + c * width))
+
+
 @kernel
 def _boxes_along(
-    knots: FloatArray,
-    coef: FloatArray,
-    line_yaw: FloatArray,
-    futures: Futures,
-    agent: int,
-    size: tuple[float, float],
-    ego: Passer,
+    line: _Line, futures: Futures, agent: int, size: tuple[float, float], ego: Passer
 ) -> tuple[tuple[float, float, float, float], tuple[float, float], FloatArray]:
-    """(1) and (2) of an agent and its length and width, m, along a reference line's `knots`, `coef`
-    and headings.
+    """(1) and (2) of an agent and its length and width, m.
 
     Returns:
         Least and greatest station and offset of the agent; first and last station of the ego beside
         it, infinite where the ego does not get there or is past it too late; the agent's positions
         then `(n, 2)`.
     """
-    s_from, s_to, l_from, l_to, begin, end = inf, -inf, inf, -inf, inf, -inf
-    t, stations, (length, width) = ego.t, ego.stations, size
-    m, n, times = len(t), 0, futures.t
-    places = np.empty((int((futures.agent == agent).sum()) * m, 2))
-    reach = interpolated(t[m - 1], times, stations) - ego.start + 60.0
+    s_from, s_to = inf, -inf
+    l_from, l_to = inf, -inf
+    begin, end = inf, -inf
+    places = np.empty((int((futures.agent == agent).sum()) * len(ego.t), 2))
+    count = 0
+    reach = interpolated(ego.t[-1], futures.t, ego.stations) - ego.start + SEARCH_M
+    latest = ego.t[-1] - ego.spare - 0.5 * STEP_S
     for row in range(len(futures.agent)):
         if futures.agent[row] != agent or not futures.probability[row] > UNLIKELY:
             continue
-        foot, before, first, last, now_from, now_to = ego.start, n, inf, -inf, 0.0, 0.0
-        for k in range(m):
-            at = t[k]
-            px, py = (
-                interpolated(at, times, futures.x[row]),
-                interpolated(at, times, futures.y[row]),
-            )
-            axle = interpolated(at, times, stations)
-            foot, offset = line_project(knots, coef, px, py, foot, reach)
-            turn = interpolated(at, times, futures.yaw[row]) - interpolated(foot, knots, line_yaw)
-            c, s = abs(cos(turn)), abs(sin(turn))
-            half_s, half_l = 0.5 * (c * length + s * width), 0.5 * (s * length + c * width)
-            if k == 0:  # the present position
-                now_from, now_to = offset - half_l, offset + half_l
-            if axle + ego.front > foot - half_s - NEAR_M and axle - ego.rear < foot + half_s:  # (1)
-                if at > t[m - 1] - ego.spare - 0.5 * STEP_S:
+        count_before, guess = count, ego.start
+        first_axle, last_axle = inf, -inf
+        now_from, now_to = 0.0, 0.0
+        for k in range(len(ego.t)):
+            body = _footprint(line, futures, row, ego.t[k], size, guess, reach)
+            guess = body.s
+            axle = interpolated(ego.t[k], futures.t, ego.stations)
+            right, left = body.l - body.half_l, body.l + body.half_l
+            if k == 0:
+                now_from, now_to = right, left
+            rear, front = body.s - body.half_s, body.s + body.half_s
+            if axle + ego.front > rear - NEAR_M and axle - ego.rear < front:  # (1)
+                if ego.t[k] > latest:
                     return (s_from, s_to, l_from, l_to), (inf, -inf), places[:0]
-                s_from, s_to = min(s_from, foot - half_s), max(s_to, foot + half_s)
-                l_from, l_to = min(l_from, offset - half_l), max(l_to, offset + half_l)
-                first, last = axle if n == before else first, axle
-                places[n, 0], places[n, 1] = px, py
-                n += 1
-        if n == before:
+                s_from, s_to = min(s_from, rear), max(s_to, front)
+                l_from, l_to = min(l_from, right), max(l_to, left)
+                first_axle = axle if count == count_before else first_axle
+                last_axle = axle
+                places[count, 0], places[count, 1] = body.x, body.y
+                count += 1
+        if count == count_before:
             return (s_from, s_to, l_from, l_to), (inf, -inf), places[:0]
-        l_from, l_to, begin, end = (
-            min(l_from, now_from),
-            max(l_to, now_to),
-            min(begin, first),
-            max(end, last),
-        )
-    return (s_from, s_to, l_from, l_to), (begin, end), places[:n]
+        l_from, l_to = min(l_from, now_from), max(l_to, now_to)
+        begin, end = min(begin, first_axle), max(end, last_axle)
+    return (s_from, s_to, l_from, l_to), (begin, end), places[:count]
 
 
 def obstacles_to_pass(
     scene: Scene,
-    found: tuple[PassTarget, ...],
+    targets: tuple[PassTarget, ...],
     stations: FloatArray,
     sides: tuple[bool, bool],
     config: CorridorConfig,
@@ -277,10 +273,9 @@ def obstacles_to_pass(
     ego may borrow the road left and right.
     """
     boxes = []
-    for box in (one.box for one in found):
-        begin, end = swing_span(
-            box, 0.0 if box.agent in passed else scene.frame.ego.v, scene.vehicle
-        )
+    for box in (target.box for target in targets):
+        speed = 0.0 if box.agent in passed else scene.frame.ego.v
+        begin, end = swing_span(box, speed, scene.vehicle)
         too_late = scene.front > box.s_from  # to turn back: the ego is beside the agent
         if too_late or not any(begin < place < end + PLACE_M for place in places):
             boxes.append(box)
@@ -295,166 +290,13 @@ def free_stations(t: FloatArray, s_ego: float, v: float, limit: float) -> FloatA
     """Stations at times `(k,)` from the first on of an ego that reaches a limit with `GAIN_MPS2`
     and keeps it.
     """
-    out, total, before = np.empty(len(t)), 0.0, v
+    stations = np.empty(len(t))
+    driven, speed_before = 0.0, v
     for k in range(len(t)):
-        at = t[k] - t[0]
-        speed = min(max(limit, v - GAIN_MPS2 * at), v + GAIN_MPS2 * at)
+        elapsed = t[k] - t[0]
+        speed = min(max(limit, v - GAIN_MPS2 * elapsed), v + GAIN_MPS2 * elapsed)
         if k > 0:
-            total += 0.5 * (at - (t[k - 1] - t[0])) * (speed + before)
-        out[k], before = s_ego + total, speed
-    return out
-
-
-def widest_gaps(
-    reference: ReferencePath, boxes: Sequence[Occupancy], *, oncoming: bool = False
-) -> list[float]:
-    """The gap between each box and the road's edge at the box's middle, on the wider side, m."""
-    if not boxes:
-        return []
-    road = reference.at(np.array([box.s_middle for box in boxes]))
-    left, right = (
-        (road.facing_left, road.facing_right) if oncoming else (road.road_left, road.road_right)
-    )
-    edges = zip(boxes, left.tolist(), right.tolist(), strict=True)
-    return [max(most - box.l_to, box.l_from - least) for box, most, least in edges]
-
-
-def may_block(scene: Scene, obstacles: Sequence[Occupancy]) -> bool:
-    """Whether an agent leaves less than the ego's width on both sides of the road, or nearly."""
-    return (
-        min(widest_gaps(scene.reference, obstacles), default=np.inf)
-        < scene.vehicle.width + NEARLY_M
-    )
-
-
-def find_blocking(
-    obstacles: tuple[Occupancy, ...],
-    space: PathBounds,
-    vehicle: VehicleParameters,
-    config: CorridorConfig,
-) -> tuple[Occupancy, ...]:
-    """The obstacles that leave the ego no room on either side of the road, without those in a
-    queue.
-    """
-    found = []
-    for box, (lower, upper) in zip(obstacles, space.room(obstacles, vehicle, config), strict=True):
-        touches = (
-            lower < box.l_to + 0.5 * vehicle.width and upper > box.l_from - 0.5 * vehicle.width
-        )
-        queue = any(
-            other is not box
-            and max(other.s_from - box.s_to, box.s_from - other.s_to) < QUEUE_M
-            and other.l_from < upper
-            and other.l_to > lower
-            for other in obstacles
-        )
-        if (
-            touches
-            and max(side_gaps(box, lower, upper, vehicle)) < config.min_clearance_m
-            and not queue
-        ):
-            found.append(box)
-    return tuple(found)
-
-
-def passed_by_oncoming_lane(
-    scene: Scene,
-    blocked: tuple[Occupancy, ...],
-    config: CorridorConfig,
-    stations: FloatArray | None = None,
-) -> frozenset[str]:
-    """The agents that the ego may pass on the oncoming lane: it stays free until the ego is back,
-    and some time more.
-
-    The time is that of an ego at `stations` `(k,)` at the times of the predictions; None: of one
-    that drives at least `PASSING_MPS`. It must not be longer than the predictions. An ego beside
-    the obstacle can no longer turn back.
-    """
-    if not blocked:
-        return frozenset()
-    frame, car, line = scene.frame, scene.vehicle, scene.reference.line
-    futures, v = frame.predictions, max(frame.ego.v, PASSING_MPS)
-    names, agents = {box.agent for box in blocked}, frame.agents
-    others, widest = (
-        np.array([name not in names for name in agents.ids], bool),
-        float(agents.width.max(initial=2.0)),
-    )
-    found = []
-    for box in blocked:
-        begin, end = swing_span(box, frame.ego.v, car)
-        place = box.s_to + car.rear_overhang + BACK_M
-        lasts = (place - scene.s) / v  # (4)
-        if stations is not None:
-            is_reached = len(futures.t) > 0 and stations[-1] >= place
-            lasts = (
-                float(futures.t[np.argmax(stations >= place)] - frame.t) if is_reached else np.inf
-            )
-        back = frame.t + lasts + config.facing_margin_s
-        if scene.front < box.s_from:
-            if not len(futures.t) or back > futures.t[-1]:
-                continue
-            aside = np.abs(scene.agents.l - 0.5 * (box.l_from + box.l_to)) - 0.5 * (
-                box.l_to - box.l_from
-            )
-            fits = scene.standing & (
-                aside - 0.5 * agents.width > car.width + 2.0 * config.min_clearance_m
-            )
-            now, rows = futures.t <= back, (others & ~fits)[futures.agent]
-            x, y = futures.x[rows][:, now].ravel(), futures.y[rows][:, now].ravel()
-            near = np.hypot(x - frame.ego.x, y - frame.ego.y) < end - scene.s + 30.0
-            s, l = line_project_many(line.s, line.coef, x[near], y[near], scene.s, 250.0).T
-            road, side = scene.reference.at(s), 0.5 * widest
-            on_left = (
-                (road.facing_left > road.road_left)
-                & (l > road.road_left - side)
-                & (l < road.facing_left)
-            )
-            on_right = (
-                (road.facing_right < road.road_right)
-                & (l < road.road_right + side)
-                & (l > road.facing_right)
-            )
-            on_way = (s > min(scene.s, begin) - widest) & (s < end + 10.0)
-            if ((on_left | on_right) & on_way).any():  # (3)
-                continue
-            if stations is not None and not _in_sight(scene, place, back - frame.t):  # (5)
-                continue
-        found.append(box.agent)
-    return frozenset(found)
-
-
-def _in_sight(scene: Scene, place: float, lasts: float) -> bool:
-    """Whether (5) holds for an ego that is back in its lane at a place (m) and safe after `lasts`
-    s.
-    """
-    view, reference = scene.frame.visibility, scene.reference
-    if view is None:
-        return True
-    limit = float(np.interp(place, reference.line.s, reference.limit))
-    s = np.arange(scene.s + SIGHT_M, place + limit * lasts, SIGHT_M)
-    s = s[s < reference.line.s[-1]]
-    road = reference.at(s)
-    by_left = road.facing_left > road.road_left
-    middle = (
-        np.where(by_left, road.road_left + road.facing_left, road.road_right + road.facing_right)
-        / 2.0
-    )
-    points = [
-        reference.line.point(float(at), float(aside)) for at, aside in zip(s, middle, strict=True)
-    ]
-    return not view.hides(np.reshape(points, (-1, 2))).any()
-
-
-def waiting_place(scene: Scene, blocked: tuple[Occupancy, ...], passed: frozenset[str]) -> float:
-    """Station of the rear axle to wait at for the oncoming lane, m.
-
-    Inf if there is none or no need to wait.
-    """
-    car, waits = scene.vehicle, [box for box in blocked if box.agent not in passed]
-    gaps = widest_gaps(scene.reference, waits, oncoming=True)
-    places = [
-        box.s_from - car.axle_to_front - WAIT_M
-        for box, gap in zip(waits, gaps, strict=True)
-        if gap > car.width + ROOM_M
-    ]
-    return min(places, default=np.inf)
+            driven += 0.5 * (elapsed - (t[k - 1] - t[0])) * (speed + speed_before)
+        stations[k] = s_ego + driven
+        speed_before = speed
+    return stations

@@ -37,7 +37,7 @@ from replan.planners.dp_qp.path.corridor import (
     road_ahead,
 )
 from replan.planners.dp_qp.path.dp import PathDpConfig, SlGrid, solve_path_dp
-from replan.planners.dp_qp.path.passing import (
+from replan.planners.dp_qp.path.oncoming_lane import (
     find_blocking,
     may_block,
     passed_by_oncoming_lane,
@@ -167,36 +167,38 @@ class PathStage:
         """
         if scene.trouble:
             return ChosenPath(None, scene.trouble, {}, 0.0, (), tuple), PathMemory()
-        task, way, standing = self._task(scene, memory.standing, moving)
+        task, in_the_way, standing = self._task(scene, memory.standing, moving)
         program = task.program
-        grid, decisions = self._sides(scene, task, way, memory.sides)
+        grid, decisions = self._sides(scene, task, in_the_way, memory.sides)
         self._lap("path DP")
-        found = self._solve_within_bounds(task, way.obstacles, decisions)
+        solution = self._solve_within_bounds(task, in_the_way.obstacles, decisions)
         self._lap("path QP")
         path, shift = None, 0.0
-        if found.offsets is not None:  # it ends where the ego waits or where it bends too far
-            stops = scene.s + scene.start.v**2 / (2.0 * WAITING_MPS2) < way.wait + 0.5
-            until = max(way.wait, scene.s + 1.0) if stops else np.inf
+        if solution.offsets is not None:  # it ends where the ego waits or where it bends too far
+            stops = scene.s + scene.start.v**2 / (2.0 * WAITING_MPS2) < in_the_way.wait + 0.5
+            until = max(in_the_way.wait, scene.s + 1.0) if stops else np.inf
             sharpest = LOCK_SLACK * self._vehicle.max_kappa
             path, shift = drivable_path(
-                scene.reference.line, scene.s, program.step, found.offsets, sharpest, until
+                scene.reference.line, scene.s, program.step, solution.offsets, sharpest, until
             )
-        reason = "" if path is not None else f"path QP: {found.reports[-1].status}"
+        reason = "" if path is not None else f"path QP: {solution.reports[-1].status}"
         sides = {
             decision.agent: SIDES[decision.kind]
-            for decision in found.decisions
+            for decision in solution.decisions
             if decision.kind in SIDES
         }
-        passed = {name: found.rooms[name] for name in sides if name in found.rooms}
+        passed = {name: solution.rooms[name] for name in sides if name in solution.rooms}
 
         def artefacts() -> tuple[Artefact, ...]:
-            graph = self._graph(task.road, way, grid, found)
-            kept = (
-                decision for decision in found.decisions if decision.kind is not DecisionKind.IGNORE
+            graph = self._graph(task.road, in_the_way, grid, solution)
+            shown = (
+                decision
+                for decision in solution.decisions
+                if decision.kind is not DecisionKind.IGNORE
             )
-            return (graph, *kept, program.costs(found.x, found.problem), *found.reports)
+            return (graph, *shown, program.costs(solution.x, solution.problem), *solution.reports)
 
-        chosen = ChosenPath(path, reason, passed, shift, found.reports, artefacts)
+        chosen = ChosenPath(path, reason, passed, shift, solution.reports, artefacts)
         return chosen, PathMemory(standing, sides)
 
     def _task(
@@ -208,22 +210,22 @@ class PathStage:
         The path keeps the goal's sides unless a standing agent is near.
         """
         reference, car, speed = scene.reference, self._vehicle, scene.start.v
-        wanted = (speed + 4.0) * self._horizon + 10.0
+        least_length = (speed + 4.0) * self._horizon + 10.0
         length = next(
-            (candidate for candidate in LENGTHS_M if candidate >= wanted - TIE), LENGTHS_M[-1]
+            (candidate for candidate in LENGTHS_M if candidate >= least_length - TIE), LENGTHS_M[-1]
         )
         if length not in self._programs:
             suited, leads = length / self._horizon - 5.0, tuple(self._leads)
             self._programs[length] = PathQp(length, suited, leads, self._config.qp, self._solver)
         program = self._programs[length]
-        way, standing = self._in_the_way(scene, length, before)
+        in_the_way, standing = self._in_the_way(scene, length, before)
         sides = self._goal.sides(scene.s, scene.s + length + car.axle_to_front)
         near = (
-            np.array([(box.s_from, box.s_to) for box in way.obstacles])
-            if way.obstacles and sides.size
+            np.array([(box.s_from, box.s_to) for box in in_the_way.obstacles])
+            if in_the_way.obstacles and sides.size
             else NO_ONE
         )
-        way = way.and_moving(moving) if moving else way
+        in_the_way = in_the_way.and_moving(moving) if moving else in_the_way
         start = np.array((scene.s, *scene.frenet, speed))
         ego = EgoInLane(
             start, self._leads, self._car, 0.5 * car.width + self._config.corridor.edge_m
@@ -235,13 +237,13 @@ class PathStage:
             program.step,
             program.knots,
             program.middle,
-            bounds.borrowed_road(way, speed, car),
+            bounds.borrowed_road(in_the_way, speed, car),
             sides,
             near,
         )
         space = PathBounds(road.points[S], road.points[LOWER], road.points[UPPER])
         problem = program.stated(start[1:4], road.references, road.rows)
-        return _Task(program, ego, road, space, problem), way, standing
+        return _Task(program, ego, road, space, problem), in_the_way, standing
 
     def _solve_within_bounds(
         self, task: _Task, obstacles: tuple[Occupancy, ...], decisions: tuple[Decision, ...]
@@ -265,9 +267,9 @@ class PathStage:
             offsets = result.x.reshape(3, -1)
             final, rooms = decisions, dict[str, float]()
             if obstacles:
-                at = offsets[0] + self._leads[:, None] * offsets[1] - task.road.points[SWING]
+                swung = offsets[0] + self._leads[:, None] * offsets[1] - task.road.points[SWING]
                 rooms, final = bounds.check_clearance(
-                    PathBounds(narrow.s, at, at), obstacles, decisions, car, config
+                    PathBounds(narrow.s, swung, swung), obstacles, decisions, car, config
                 )
             if in_bounds or final == decisions:
                 return _Found(offsets, result.x, final, narrow, problem, reports, rooms)
@@ -325,11 +327,11 @@ class PathStage:
         since = {box.agent: standing.get(box.agent, scene.frame.t) for box in obstacles}
         if not obstacles:
             return InTheWay(), since
-        way = InTheWay(obstacles, *bounds.free_sides(scene, config))
+        in_the_way = InTheWay(obstacles, *bounds.free_sides(scene, config))
         if not may_block(scene, obstacles):
-            return way, since
+            return in_the_way, since
         near = scene.s + np.arange(0.0, length, 2.0) + np.zeros((1, 1))
-        space = bounds.lane_bounds(scene.reference, near, way, scene.start.v, car, config)
+        space = bounds.lane_bounds(scene.reference, near, in_the_way, scene.start.v, car, config)
         # Agents that will not drive on soon: objects, and those that have stood long and are in no
         # queue
         stay = []
@@ -346,17 +348,17 @@ class PathStage:
         wait = waiting_place(scene, blocked, by_oncoming)
         if by_oncoming:
             obstacles = bounds.standing_obstacles(scene, length, facing=True)
-        return replace(way, obstacles=obstacles, facing=by_oncoming, wait=wait), since
+        return replace(in_the_way, obstacles=obstacles, facing=by_oncoming, wait=wait), since
 
     def _sides(
-        self, scene: Scene, task: _Task, way: InTheWay, before: Mapping[str, float]
+        self, scene: Scene, task: _Task, in_the_way: InTheWay, before: Mapping[str, float]
     ) -> tuple[SlGrid | None, tuple[Decision, ...]]:
         """The side on which each obstacle is passed.
 
         The path DP runs only where one has space on both sides.
         """
         config, car, columns = self._config.corridor, self._vehicle, self._config.dp.columns
-        choices = bounds.side_choices(way.obstacles, task.space, car, config)
+        choices = bounds.side_choices(in_the_way.obstacles, task.space, car, config)
         if not any(choice.is_open(config.min_clearance_m) for choice in choices):
             return None, tuple(
                 choice.decided(choice.left > choice.right, None, config) for choice in choices
@@ -370,11 +372,11 @@ class PathStage:
                 box.l_to + side,
                 before.get(box.agent, 0.0),
             )
-            for box in way.obstacles
+            for box in in_the_way.obstacles
         ]
 
         def room(s: FloatArray) -> tuple[FloatArray, FloatArray]:
-            space = bounds.lane_bounds(scene.reference, s, way, scene.start.v, car, config)
+            space = bounds.lane_bounds(scene.reference, s, in_the_way, scene.start.v, car, config)
             return space.lower, space.upper
 
         stations, start = (
@@ -392,22 +394,25 @@ class PathStage:
             decisions.append(choice.decided(goes_left, (left, right), config))
         return grid, tuple(decisions)
 
-    def _graph(self, road: RoadAhead, way: InTheWay, grid: SlGrid | None, found: _Found) -> SlGraph:
+    def _graph(
+        self, road: RoadAhead, in_the_way: InTheWay, grid: SlGrid | None, solution: _Found
+    ) -> SlGraph:
         """The S-L graph, with the DP where it ran.
 
         Its corridor at the knots contains the bounds of all points.
         """
-        offsets, knots, at = found.offsets, road.along[KNOT], found.narrow.s
-        points = [X, *range(LEADS, len(found.problem.lower))]
+        offsets, knots, stations = solution.offsets, road.along[KNOT], solution.narrow.s
+        points = [X, *range(LEADS, len(solution.problem.lower))]
         lower, upper = (
-            of[points] - road.points[SWING] for of in (found.problem.lower, found.problem.upper)
+            bound[points] - road.points[SWING]
+            for bound in (solution.problem.lower, solution.problem.upper)
         )
         low, high = lower[0].copy(), upper[0].copy()
-        for k in range(1, len(at)):
-            low = np.minimum(low, np.interp(at[0], at[k], lower[k], left=np.inf))
-            high = np.maximum(high, np.interp(at[0], at[k], upper[k], left=-np.inf))
+        for k in range(1, len(stations)):
+            low = np.minimum(low, np.interp(stations[0], stations[k], lower[k], left=np.inf))
+            high = np.maximum(high, np.interp(stations[0], stations[k], upper[k], left=-np.inf))
         obstacles = []
-        for box, decision in zip(way.obstacles, found.decisions, strict=True):
+        for box, decision in zip(in_the_way.obstacles, solution.decisions, strict=True):
             s, l = (box.s_from, box.s_to), (box.l_from, box.l_to)
             outline = np.array([(s[0], l[0]), (s[1], l[0]), (s[1], l[1]), (s[0], l[1])])
             obstacles.append(GraphObstacle(box.agent, outline, decision.kind))

@@ -141,11 +141,11 @@ class PathView:
 
         Extrapolated beyond the path's ends.
         """
-        at, sigma = self.path.s, self.path.sigma
+        stations, sigma = self.path.s, self.path.sigma
         return (
-            float(np.interp(s, at, sigma))
-            + min(s - float(at[0]), 0.0)
-            + max(s - float(at[-1]), 0.0)
+            float(np.interp(s, stations, sigma))
+            + min(s - float(stations[0]), 0.0)
+            + max(s - float(stations[-1]), 0.0)
         )
 
 
@@ -171,11 +171,11 @@ def lower_limit(sigma: FloatArray, road: LoweredLimit, caps: Sequence[SpeedCap])
     reported: dict[str, SpeedCap] = {}
     for cap in caps:
         begin, end = np.searchsorted(sigma, (cap.s_from, cap.s_to), side="right")
-        there = slice(int(begin), int(end))
-        less, same = cap.v < v[there], cap.v == v[there]
-        bound[there] = np.where(less, cap.is_bound, bound[there] | (same & cap.is_bound))  # (2)
-        v[there] = np.where(less, cap.v, v[there])  # (1)
-        if cap.agent and (cap.v < road.v[there] - WORTH_MPS).any():
+        section = slice(int(begin), int(end))
+        less, same = cap.v < v[section], cap.v == v[section]
+        bound[section] = np.where(less, cap.is_bound, bound[section] | (same & cap.is_bound))  # (2)
+        v[section] = np.where(less, cap.v, v[section])  # (1)
+        if cap.agent and (cap.v < road.v[section] - WORTH_MPS).any():
             reported[cap.agent] = min(reported.get(cap.agent, cap), cap, key=lambda each: each.v)
     decisions = (
         Decision(cap.agent, DecisionKind.YIELD, "speed", cap.reason) for cap in reported.values()
@@ -199,19 +199,19 @@ def goal_and_rules_caps(view: PathView) -> tuple[SpeedCap, ...]:
     """Caps that keep the goal's time, the speed in its region (`goal_window`) and the first open
     stop.
     """
-    target, found = view.task.target, []
+    target, caps = view.task.target, []
     if target.cap < inf:
-        found.append(SpeedCap(-inf, view.arc(target.until), target.cap, is_bound=False))
+        caps.append(SpeedCap(-inf, view.arc(target.until), target.cap, is_bound=False))
     if target.stop < inf:
-        found.append(SpeedCap(view.arc(target.stop), inf, 0.0, is_bound=False))
+        caps.append(SpeedCap(view.arc(target.stop), inf, 0.0, is_bound=False))
     slow = view.task.goal.slow_zone
     if slow is not None:
         begin, end, v = slow
-        found.append(SpeedCap(view.arc(begin), view.arc(end), v, is_bound=False))
+        caps.append(SpeedCap(view.arc(begin), view.arc(end), v, is_bound=False))
     begin = open_end(view.task.stops) if view.task.stops else inf
     if begin < inf:
-        found.append(SpeedCap(begin - TIE, inf, 0.0, is_bound=False))
-    return tuple(found)
+        caps.append(SpeedCap(begin - TIE, inf, 0.0, is_bound=False))
+    return tuple(caps)
 
 
 def passing_caps(view: PathView) -> tuple[SpeedCap, ...]:
@@ -220,7 +220,7 @@ def passing_caps(view: PathView) -> tuple[SpeedCap, ...]:
     An agent along the lane that is nearer to the path than the margin has no cap: the ego follows
     it, by the S-T graph.
     """
-    scene, path, agents, found = view.scene, view.path, view.scene.frame.agents, []
+    scene, path, agents, caps = view.scene, view.path, view.scene.frame.agents, []
     for name, d in view.task.passed.items():
         if d < ROOM_M:
             i = agents.ids.index(name)
@@ -231,26 +231,30 @@ def passing_caps(view: PathView) -> tuple[SpeedCap, ...]:
             )
             v = max(d / ROOM_M, NUDGE_SHARE) * float(np.interp(s, path.s, view.limit))  # (6)
             reason = f"stands {d:.2f} m beside the path: passed at {v:.1f} m/s"
-            found.append(SpeedCap(view.arc(begin), view.arc(end), v, name, reason))
-    for one in view.task.targets:
-        at = (path.s > one.begin - NEAR_M) & (path.s < one.end + NEAR_M)
-        if not at.any():
+            caps.append(SpeedCap(view.arc(begin), view.arc(end), v, name, reason))
+    for target in view.task.targets:
+        beside = (path.s > target.begin - NEAR_M) & (path.s < target.end + NEAR_M)
+        if not beside.any():
             continue
-        away = np.hypot(path.x[at, None] - one.places[:, 0], path.y[at, None] - one.places[:, 1])
-        d = float(away.min()) - 0.5 * float(scene.vehicle.width + agents.width[one.agent])
+        away = np.hypot(
+            path.x[beside, None] - target.places[:, 0], path.y[beside, None] - target.places[:, 1]
+        )
+        d = float(away.min()) - 0.5 * float(scene.vehicle.width + agents.width[target.agent])
         if d < view.margin_m:
             continue
-        is_rider = agents.kinds[one.agent] is AgentKind.BICYCLE
+        is_rider = agents.kinds[target.agent] is AgentKind.BICYCLE
         v = avoidable_speed(
             d, view.caution.ride_mps if is_rider else view.caution.walk_mps, view.hard_mps2
         )
-        begin = view.arc(one.begin - (v * REACTION_S + v * v / (2.0 * view.hard_mps2)))
+        begin = view.arc(target.begin - (v * REACTION_S + v * v / (2.0 * view.hard_mps2)))
         reason = (
             f"goes along the lane: passed with {d:.1f} m and at {v:.1f} m/s, so that the ego "
             "could stop for them"
         )
-        found.append(SpeedCap(begin, view.arc(one.end + NEAR_M), v, agents.ids[one.agent], reason))
-    return tuple(found)
+        caps.append(
+            SpeedCap(begin, view.arc(target.end + NEAR_M), v, agents.ids[target.agent], reason)
+        )
+    return tuple(caps)
 
 
 def swerve_caps(view: PathView) -> tuple[SpeedCap, ...]:
@@ -289,7 +293,7 @@ def hesitation_caps(view: PathView) -> tuple[SpeedCap, ...]:
     """
     if not view.came:
         return ()
-    scene, path, agents, found = view.scene, view.path, view.scene.frame.agents, []
+    scene, path, agents, caps = view.scene, view.path, view.scene.frame.agents, []
     taking = set(view.taken.agent.tolist())
     for i, name in enumerate(agents.ids):
         if name not in view.came or i in taking or scene.speed[i] >= TOWARDS_MPS:
@@ -305,8 +309,8 @@ def hesitation_caps(view: PathView) -> tuple[SpeedCap, ...]:
         v = avoidable_speed(d, view.caution.walk_mps, view.hard_mps2)
         where = f"stands {d:.1f} m beside it, {ahead:.0f} m ahead"
         reason = f"came to the path and {where}: could be avoided at {v:.1f} m/s"
-        found.append(SpeedCap(ahead - STEP_M, ahead, v, name, reason))
-    return tuple(found)
+        caps.append(SpeedCap(ahead - STEP_M, ahead, v, name, reason))
+    return tuple(caps)
 
 
 def hidden_ground_caps(view: PathView) -> tuple[SpeedCap, ...]:
@@ -320,15 +324,15 @@ def hidden_ground_caps(view: PathView) -> tuple[SpeedCap, ...]:
         scene.vehicle.axle_to_front,
         min(view.taken.first + scene.vehicle.axle_to_front, LOOK_M),
     )
-    found = [SpeedCap(-inf, inf, stopping_speed(seen.range, view.hard_mps2))]
+    caps = [SpeedCap(-inf, inf, stopping_speed(seen.range, view.hard_mps2))]
     for s, d in hidden_beside(
         view.path, seen, scene.frame.agents, scene.vehicle, until, view.caution.walk_mps
     ):
         v = avoidable_speed(d - PERSON_M, view.caution.walk_mps, view.hard_mps2)
         where = f"{s - front:.0f} m ahead, {d:.1f} m beside"
         reason = f"who steps out of the hidden ground {where}, could be avoided at {v:.1f} m/s"
-        found.append(SpeedCap(s - front - STEP_M, s - front, v, "hidden ground", reason))
-    return tuple(found)
+        caps.append(SpeedCap(s - front - STEP_M, s - front, v, "hidden ground", reason))
+    return tuple(caps)
 
 
 class Hidden(NamedTuple):
@@ -363,11 +367,11 @@ def hidden_beside(
     if not len(shadows):
         return []
     ahead = np.arange(vehicle.axle_to_front, until, STEP_M)
-    at = np.searchsorted(path.sigma, ahead[ahead < path.length])
+    indices = np.searchsorted(path.sigma, ahead[ahead < path.length])
     side = 0.5 * vehicle.width + np.r_[SIDE_M, SIDE_M]
     side[len(SIDE_M) :] *= -1.0
-    x = path.x[at, None] - side * np.sin(path.yaw[at, None])
-    y = path.y[at, None] + side * np.cos(path.yaw[at, None])
+    x = path.x[indices, None] - side * np.sin(path.yaw[indices, None])
+    y = path.y[indices, None] + side * np.cos(path.yaw[indices, None])
     points = np.column_stack([x.ravel(), y.ravel()])
     everywhere = replace(view, range=inf, field_of_view=2.0 * pi, shadows=shadows)
     boxes = np.column_stack(
@@ -375,7 +379,7 @@ def hidden_beside(
     )
     hides = (everywhere.hides(points) & ~_points_in_boxes(points, boxes)).reshape(x.shape)
     return [
-        Hidden(float(path.sigma[at[i]]), float(np.abs(side[row]).min() - 0.5 * vehicle.width))
+        Hidden(float(path.sigma[indices[i]]), float(np.abs(side[row]).min() - 0.5 * vehicle.width))
         for i, row in enumerate(hides)
         if row.any()
     ]
@@ -384,14 +388,14 @@ def hidden_beside(
 @kernel
 def _points_in_boxes(points: FloatArray, boxes: FloatArray) -> BoolArray:
     """Which of the points `(k, 2)` lie in a box `(n, 5)`: x, y, yaw, half length, half width."""
-    out = np.zeros(len(points), np.bool_)
+    covered = np.zeros(len(points), np.bool_)
     for i in range(len(boxes)):
         c, s = np.cos(boxes[i, 2]), np.sin(boxes[i, 2])
         for k in range(len(points)):
             dx, dy = points[k, 0] - boxes[i, 0], points[k, 1] - boxes[i, 1]
             inside = abs(c * dx + s * dy) <= boxes[i, 3] and abs(c * dy - s * dx) <= boxes[i, 4]
-            out[k] = out[k] or inside
-    return out
+            covered[k] = covered[k] or inside
+    return covered
 
 
 Producer = Callable[[PathView], tuple[SpeedCap, ...]]

@@ -75,7 +75,7 @@ def weights(scene: Scene, path: Path, rows: StBoundaries) -> FloatArray:
     seen = Seen(
         agents.age, agents.unseen, agents.velocity_sigma, _brakes(agents.accel), _walks(scene)
     )
-    way, ego = SweptPath(path.sigma, path.x, path.y, path.yaw), (car.axle_to_front, car.width)
+    swept, ego = SweptPath(path.sigma, path.x, path.y, path.yaw), (car.axle_to_front, car.width)
     return _weights(
         rows.t,
         rows.agent,
@@ -86,7 +86,7 @@ def weights(scene: Scene, path: Path, rows: StBoundaries) -> FloatArray:
         scene.bodies,
         line.s,
         line.coef,
-        way,
+        swept,
         path.s,
         ego,
     )
@@ -97,20 +97,20 @@ def _weights(
     t: FloatArray,
     agent: IntArray,
     lower: FloatArray,
-    said: FloatArray,
+    probability: FloatArray,
     seen: Seen,
     along: AgentsAlong,
     bodies: Bodies,
     knots: FloatArray,
     coef: FloatArray,
-    way: SweptPath,
+    swept: SweptPath,
     stations: FloatArray,
     ego: tuple[float, float],
 ) -> FloatArray:
-    """`weights`; `t` to `said` belong to the rows, `knots` and `coef` to the reference; `ego`:
-    front and width, m.
+    """`weights`; `t` to `probability` belong to the rows, `knots` and `coef` to the reference;
+    `ego`: front and width, m.
     """
-    out, last = np.empty((2, len(agent))), inf
+    weights, last = np.empty((2, len(agent))), inf
     age, unseen, walks, length, width = (
         seen.age,
         seen.unseen,
@@ -121,31 +121,35 @@ def _weights(
     for since in unseen:
         last = min(last, inf if isnan(since) else since)
     for i in range(len(agent)):
-        who = agent[i]
-        out[:, i] = min(said[i] / (2.0 * UNLIKELY), 1.0)  # (1)
+        row = agent[i]
+        weights[:, i] = min(probability[i] / (2.0 * UNLIKELY), 1.0)  # (1)
         taken = np.flatnonzero(np.isfinite(lower[i]))
         if taken[0] == 0:
             continue
-        j = min(int(np.searchsorted(way.sigma, lower[i, taken[0]] + ego[0])), len(way.sigma) - 1)
+        j = min(
+            int(np.searchsorted(swept.sigma, lower[i, taken[0]] + ego[0])), len(swept.sigma) - 1
+        )
         x_r, y_r, yaw_r = line_frame(knots, coef, stations[j])[:3]
-        aside = along.l[who] - ((way.y[j] - y_r) * cos(yaw_r) - (way.x[j] - x_r) * sin(yaw_r))
-        c, s = abs(cos(along.turn[who])), abs(sin(along.turn[who]))
-        d = abs(aside) - 0.5 * (ego[1] + c * width[who] + s * length[who])
-        w = -along.v_l[who] if aside > 0.0 else along.v_l[who]
-        if not (walks[who] and w > 0.0):
-            out[:, i] *= 1.0 if isnan(age[who]) else min(max(age[who] / AGE_S, LEAST), 1.0)  # (2)
-        out[:, i] *= 1.0 if isnan(unseen[who]) else exp((last - unseen[who]) / UNSEEN_S)
-        if d > 0.0 and not walks[who]:
-            leaves, v, b = t[taken[-1]], hypot(along.v_s[who], along.v_l[who]), seen.brakes[who]
+        aside = along.l[row] - ((swept.y[j] - y_r) * cos(yaw_r) - (swept.x[j] - x_r) * sin(yaw_r))
+        c, s = abs(cos(along.turn[row])), abs(sin(along.turn[row]))
+        d = abs(aside) - 0.5 * (ego[1] + c * width[row] + s * length[row])
+        w = -along.v_l[row] if aside > 0.0 else along.v_l[row]
+        if not (walks[row] and w > 0.0):
+            weights[:, i] *= (
+                1.0 if isnan(age[row]) else min(max(age[row] / AGE_S, LEAST), 1.0)
+            )  # (2)
+        weights[:, i] *= 1.0 if isnan(unseen[row]) else exp((last - unseen[row]) / UNSEEN_S)
+        if d > 0.0 and not walks[row]:
+            leaves, v, b = t[taken[-1]], hypot(along.v_s[row], along.v_l[row]), seen.brakes[row]
             stands = max(v, TIE) / b if b > 0.0 else inf
             until = min(leaves, stands)
             moves = w * (until - 0.5 * until**2 / stands)
-            sigma_v = seen.velocity_sigma[who]
+            sigma_v = seen.velocity_sigma[row]
             drift = sigma_v if sigma_v > DRIFT_MPS else DRIFT_MPS
             for k, turn in enumerate((0.0, 0.5 * TURN_MPS2 * leaves**2)):
                 z = (moves - d) / sqrt(PLACE_M**2 + (drift * leaves) ** 2 + turn**2) - 1.0
-                out[k, i] *= 0.5 * (1.0 + erf(z / sqrt(2.0)))  # (3)
-    return out
+                weights[k, i] *= 0.5 * (1.0 + erf(z / sqrt(2.0)))  # (3)
+    return weights
 
 
 def from_beside(scene: Scene, rows: StBoundaries) -> BoolArray:

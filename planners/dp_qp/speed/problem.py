@@ -142,15 +142,15 @@ def build_problem(
     cost: FloatArray = np.empty((0, 0))
     chosen: IntArray = np.empty(0, np.int64)
     s_dp: FloatArray = np.zeros(settings.knots)
-    times, at = STEP_S * np.arange(settings.knots), np.empty(len(taken.t))
+    times, indices = STEP_S * np.arange(settings.knots), np.empty(len(taken.t))
     if n + len(stops) > 0 and (is_drawn or moves or not waits):
         cost, chosen = _search(
             v_limit, sigma, taken, start, time_gap, settings, inf if is_drawn else LIKELY
         )
         s_dp = _resample(STEP_S, settings.knots, DT_S * np.arange(len(chosen)), DS_M * chosen)
-    for k in range(len(at)):
-        at[k] = interpolated(taken.t[k], times, s_dp)
-    kinds = decide(lower, upper, taken.speed, taken.pace, at)
+    for k in range(len(indices)):
+        indices[k] = interpolated(taken.t[k], times, s_dp)
+    kinds = decide(lower, upper, taken.speed, taken.pace, indices)
     for i in range(n):
         if kinds[i] == OVERTAKE and not taken.may_overtake[i]:
             kinds[i] = YIELD
@@ -189,10 +189,10 @@ def _free(
 @inner_kernel
 def _resample(step: float, n: int, xp: FloatArray, fp: FloatArray) -> FloatArray:
     """`fp` over `xp` at 0, step, 2 step ... `(n,)`."""
-    out = np.empty(n)
+    resampled = np.empty(n)
     for i in range(n):
-        out[i] = interpolated(step * i, xp, fp)
-    return out
+        resampled[i] = interpolated(step * i, xp, fp)
+    return resampled
 
 
 @inner_kernel
@@ -251,8 +251,8 @@ def _speed_bound(
             eased = braking(start[0], start[1], soft.decel, soft.jerk, STEP_S, knots)
             break
     for i in range(knots):
-        at = min(np.searchsorted(sigma, s_ref[i]), len(sigma) - 1)
-        room = 0.0 if path.is_bound[at] else SPEED_ROOM_MPS
+        point = min(np.searchsorted(sigma, s_ref[i]), len(sigma) - 1)
+        room = 0.0 if path.is_bound[point] else SPEED_ROOM_MPS
         bound[i] = max(interpolated(s_ref[i], sigma, v_limit), eased[1, i]) + room
     return bound
 

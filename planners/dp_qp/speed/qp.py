@@ -209,16 +209,16 @@ def tidy_profile(x: FloatArray) -> FloatArray:
 
     The result never moves backwards, and is exactly at rest where it rests.
     """
-    out = x.copy().reshape(3, len(x) // 3)
+    profile = x.copy().reshape(3, len(x) // 3)
     furthest = 0.0
-    for i in range(out.shape[1]):
-        furthest = max(furthest, out[0, i])
-        out[0, i] = furthest
-        if out[1, i] < REST_MPS:
-            out[1, i] = 0.0
-            if abs(out[2, i]) < REST_MPS2:
-                out[2, i] = 0.0
-    return out
+    for i in range(profile.shape[1]):
+        furthest = max(furthest, profile[0, i])
+        profile[0, i] = furthest
+        if profile[1, i] < REST_MPS:
+            profile[1, i] = 0.0
+            if abs(profile[2, i]) < REST_MPS2:
+                profile[2, i] = 0.0
+    return profile
 
 
 # Share of the limits with which braking must keep the bounds, so that the QP has room to be smooth

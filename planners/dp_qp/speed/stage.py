@@ -179,19 +179,19 @@ class SpeedStage:
     ) -> tuple[ChosenSpeed, SpeedMemory]:
         """Choose the speed along a path; and the new memory."""
         config = self._config
-        found = doubt.extend_braking(
+        boundaries = doubt.extend_braking(
             scene, st_boundaries(scene, path, task.skip, task.passed, config.graph)
         )
         self._lap("S-T graph")
-        came = came_to_path(scene, found, memory.came, config.caution.hesitates_s)
+        reached_at = came_to_path(scene, boundaries, memory.came, config.caution.hesitates_s)
         road = np.interp(path.s, scene.reference.line.s, scene.reference.limit)
         view = PathView(
             scene,
             path,
             task,
             road,
-            found,
-            came,
+            boundaries,
+            reached_at,
             self._hard_mps2,
             config.graph.vulnerable_margin_m,
             config.caution,
@@ -200,10 +200,10 @@ class SpeedStage:
         own = lower_limit(path.sigma, bare, [cap for caps in OWN for cap in caps(view)])
         limit = lower_limit(path.sigma, own, [cap for caps in OTHERS for cap in caps(view)])
 
-        def taken(who: IntArray, margins: StGraphConfig) -> StBoundaries:
+        def taken(agent: IntArray, margins: StGraphConfig) -> StBoundaries:
             """The boundaries of these agents with other margins."""
             skip = np.ones(len(task.skip), np.bool_)
-            skip[who] = False
+            skip[agent] = False
             rows = doubt.extend_braking(
                 scene, st_boundaries(scene, path, skip, task.passed, margins)
             )
@@ -215,8 +215,8 @@ class SpeedStage:
         stops = (
             np.array([(stop.s_from, stop.until) for stop in task.stops]) if task.stops else NO_STOPS
         )
-        way = _Way(view, limits, limit.decisions, stops, taken, memory)
-        planned, unlikely = self._plan_with_doubt(way, found)
+        task_on_path = _Way(view, limits, limit.decisions, stops, taken, memory)
+        planned, unlikely = self._plan_with_doubt(task_on_path, boundaries)
         solved = planned.solved
         chosen = ChosenSpeed(
             solved.profile,
@@ -224,28 +224,30 @@ class SpeedStage:
             solved.unavoidable,
             planned.built.free_m,
             solved.reports,
-            lambda: self._artefacts(way, planned, unlikely),
+            lambda: self._artefacts(task_on_path, planned, unlikely),
         )
         waits = frozenset(
-            scene.frame.agents.ids[who]
-            for who in planned.blocks.agent[planned.built.kinds == YIELD]
+            scene.frame.agents.ids[agent]
+            for agent in planned.blocks.agent[planned.built.kinds == YIELD]
         )
-        return chosen, SpeedMemory(solved.is_full, came, waits)
+        return chosen, SpeedMemory(solved.is_full, reached_at, waits)
 
-    def _plan_with_doubt(self, way: _Way, found: StBoundaries) -> tuple[_Planned, StBoundaries]:
+    def _plan_with_doubt(
+        self, on_path: _Way, boundaries: StBoundaries
+    ) -> tuple[_Planned, StBoundaries]:
         """The speed that keeps the rows as far as they bind (`doubt`), and the rows that do not
         bind.
         """
-        if not len(found):
-            return self._plan_within(way, found), found
-        scene = way.view.scene
-        p, p_turn = doubt.weights(scene, way.view.path, found)
+        if not len(boundaries):
+            return self._plan_within(on_path, boundaries), boundaries
+        scene = on_path.view.scene
+        p, p_turn = doubt.weights(scene, on_path.view.path, boundaries)
         binds = p >= doubt.CERTAIN
         is_sure = bool(binds.all())
-        planned = self._plan_within(way, found if is_sure else found.only(binds))
+        planned = self._plan_within(on_path, boundaries if is_sure else boundaries.only(binds))
         solved = planned.solved
         if is_sure and not solved.reason:
-            return planned, found.only(~binds)
+            return planned, boundaries.only(~binds)
         eased = ~binds & (p >= doubt.NEGLIGIBLE)
         if eased.any() and solved.profile is not None:  # (4) of `doubt`
             k = round(doubt.SHARED_S / STEP_S)
@@ -255,26 +257,31 @@ class SpeedStage:
                 s + self._shared.braking((v, a), self._config.qp.knots - k)[0],
             ]
             driven, stopped = (
-                np.interp(found.t, self._times, each) for each in (solved.profile[0], stop)
+                np.interp(boundaries.t, self._times, profile)
+                for profile in (solved.profile[0], stop)
             )
-            met = ((driven > found.lower) & (driven < found.upper)).any(axis=1)
-            eased &= met & (stopped > found.lower).any(axis=1)
+            met = ((driven > boundaries.lower) & (driven < boundaries.upper)).any(axis=1)
+            eased &= met & (stopped > boundaries.lower).any(axis=1)
         if solved.reason:
             eased |= (
                 binds
-                & doubt.from_beside(scene, found)
+                & doubt.from_beside(scene, boundaries)
                 & ((p_turn < doubt.SURE) | solved.unavoidable)
             )
         if eased.any():
             qp, gap = self._config.qp, self._config.dp.gap_m + TOLERANCE
             stop = qp.comfort.braking((scene.v, scene.start.a), qp.knots, share=RESERVE)[0]
-            rows = doubt.relax_rows(found, eased, np.interp(found.t, self._times, stop), gap)
-            planned = self._plan_within(way, rows.only(binds | eased), found.agent[binds & ~eased])
+            rows = doubt.relax_rows(
+                boundaries, eased, np.interp(boundaries.t, self._times, stop), gap
+            )
+            planned = self._plan_within(
+                on_path, rows.only(binds | eased), boundaries.agent[binds & ~eased]
+            )
         binds |= eased
-        return planned, replace(found, probability=p).only(~binds)
+        return planned, replace(boundaries, probability=p).only(~binds)
 
     def _plan_within(
-        self, way: _Way, blocks: StBoundaries, sure: IntArray | None = None
+        self, on_path: _Way, blocks: StBoundaries, sure: IntArray | None = None
     ) -> _Planned:
         """The speed that keeps these boundaries; those of the agents `sure` (None: all) with other
         margins, too.
@@ -282,31 +289,34 @@ class SpeedStage:
         The ego goes first before agents that cross with `FIRST_S` to spare, or it yields if
         `LETS_MPS2` is enough.
         """
-        scene, n = way.view.scene, len(blocks)
+        scene, n = on_path.view.scene, len(blocks)
         total = scene.speed[blocks.agent]
         crosses = (blocks.speed < ALONG * total) & (total > STANDING_MPS)
-        free = self._plan(way, blocks, blocks.agent if sure is None else sure, np.ones(n, np.bool_))
-        planned = self._yield_to_late(way, free, np.where(crosses, FIRST_S, 0.0))
+        free = self._plan(
+            on_path, blocks, blocks.agent if sure is None else sure, np.ones(n, np.bool_)
+        )
+        planned = self._yield_to_late(on_path, free, np.where(crosses, FIRST_S, 0.0))
         lets, profile = crosses & ~planned.may_overtake, planned.solved.profile
         if lets.any():
             most = LETS_MPS2[bool(scene.vulnerable[blocks.agent[lets]].any())]
             if not (planned.solved.keeps and profile is not None and profile[2].min() >= -most):
-                planned = self._yield_to_late(way, free, np.zeros(n))
+                planned = self._yield_to_late(on_path, free, np.zeros(n))
         return planned
 
-    def _yield_to_late(self, way: _Way, planned: _Planned, spare: FloatArray) -> _Planned:
+    def _yield_to_late(self, on_path: _Way, planned: _Planned, spare: FloatArray) -> _Planned:
         """The speed that yields to each agent that it overtakes but would not stay clear of `spare`
         s `(n,)` later.
 
         The DP alone does not know that, since its jerk is coarse. Without a solution it yields to
         all.
         """
-        ids, blocks = way.view.scene.frame.agents.ids, planned.blocks
+        ids, blocks = on_path.view.scene.frame.agents.ids, planned.blocks
         while (late := planned.built.kinds == OVERTAKE).any():
             tried, profile = planned.solved.attempts, planned.solved.profile
             if profile is not None:
                 waited = [
-                    CHANGE_S if ids[each] in way.memory.waits else 0.0 for each in blocks.agent
+                    CHANGE_S if ids[agent] in on_path.memory.waits else 0.0
+                    for agent in blocks.agent
                 ]
                 s = np.interp(
                     blocks.t - np.maximum(spare, waited)[:, None], self._times, profile[0]
@@ -314,48 +324,53 @@ class SpeedStage:
                 late &= ((s > blocks.lower) & (s < blocks.upper)).any(axis=1)
                 if not late.any():
                     break
-            planned = self._plan(way, blocks, planned.sure, planned.may_overtake & ~late, tried)
+            planned = self._plan(on_path, blocks, planned.sure, planned.may_overtake & ~late, tried)
         return planned
 
     def _plan(
         self,
-        way: _Way,
+        on_path: _Way,
         blocks: StBoundaries,
         sure: IntArray,
         may_overtake: BoolArray,
         tried: Attempts = (),
     ) -> _Planned:
         """The speed with these orders of passing; `tried`: QPs that were tried before."""
-        built = self._build(way, blocks, may_overtake)
+        built = self._build(on_path, blocks, may_overtake)
         self._lap("speed DP")
         solved = self._ladder.solve(
-            built.problem, partial(way.taken, sure), braked_fully=way.memory.braked_fully
+            built.problem, partial(on_path.taken, sure), braked_fully=on_path.memory.braked_fully
         )
         self._lap("speed QP")
         solved = replace(solved, attempts=(*tried, *solved.attempts)) if tried else solved
         return _Planned(solved, built, blocks, may_overtake, sure)
 
     def _build(
-        self, way: _Way, blocks: StBoundaries, may_overtake: BoolArray, *, is_drawn: bool = False
+        self,
+        on_path: _Way,
+        blocks: StBoundaries,
+        may_overtake: BoolArray,
+        *,
+        is_drawn: bool = False,
     ) -> BuiltProblem:
         """The problem with these boundaries, and the speed DP where it decides or `is_drawn`."""
-        scene, time_gap = way.view.scene, self._config.dp.time_gap_s
+        scene, time_gap = on_path.view.scene, self._config.dp.time_gap_s
         pace = scene.speed[blocks.agent]
         taken = Taken(
-            blocks.t, blocks.lower, blocks.upper, blocks.speed, pace, may_overtake, way.stops
+            blocks.t, blocks.lower, blocks.upper, blocks.speed, pace, may_overtake, on_path.stops
         )
-        gap = min(time_gap, HURRIED_GAP_S) if way.view.task.target.hurried else time_gap
+        gap = min(time_gap, HURRIED_GAP_S) if on_path.view.task.target.hurried else time_gap
         return build_problem(
-            way.limits, taken, (scene.v, scene.start.a), gap, is_drawn, self._settings
+            on_path.limits, taken, (scene.v, scene.start.a), gap, is_drawn, self._settings
         )
 
     def _artefacts(
-        self, way: _Way, planned: _Planned, unlikely: StBoundaries
+        self, on_path: _Way, planned: _Planned, unlikely: StBoundaries
     ) -> tuple[Artefact, ...]:
         """Graph (with the DP where it ran), decisions, costs and reports."""
-        scene, path, stops = way.view.scene, way.view.path, way.view.task.stops
+        scene, path, stops = on_path.view.scene, on_path.view.path, on_path.view.task.stops
         blocks, solved, problem = planned.blocks, planned.solved, planned.built.problem
-        drawn, decisions = self._build(way, blocks, planned.may_overtake, is_drawn=True), []
+        drawn, decisions = self._build(on_path, blocks, planned.may_overtake, is_drawn=True), []
         doubted = np.isin(blocks.agent, planned.sure, invert=True)
         decided = decide_speed(blocks, scene, np.interp(blocks.t, self._times, drawn.s_dp))
         for i, (decision, may) in enumerate(zip(decided, planned.may_overtake, strict=True)):
@@ -365,7 +380,7 @@ class SpeedStage:
             reason = f"{reason}; {DOUBTED}" if doubted[i] else reason
             if kind in ORDERS:
                 known = {decision.kind: float(drawn.cost[-1].min())} if len(drawn.cost) else {}
-                reason = f"{reason}; {self._orders(way, planned, i, kind, known)}"
+                reason = f"{reason}; {self._orders(on_path, planned, i, kind, known)}"
             decisions.append(replace(decision, kind=kind, reason=reason))
         profile, was_run = solved.profile, len(drawn.cost) > 0
         grid = None
@@ -388,7 +403,7 @@ class SpeedStage:
             ),
         )
         ignored = []
-        for who, lower, share in zip(
+        for agent, lower, share in zip(
             unlikely.agent, unlikely.lower, unlikely.probability, strict=True
         ):
             begin = f"may take the path from {float(np.nanmin(lower)):.1f} m on"
@@ -396,17 +411,17 @@ class SpeedStage:
                 f"{begin}, but that is unlikely ({share:.0%}); the ego is past, or could still stop"
             )
             ignored.append(
-                Decision(scene.frame.agents.ids[who], DecisionKind.IGNORE, "speed", reason)
+                Decision(scene.frame.agents.ids[agent], DecisionKind.IGNORE, "speed", reason)
             )
         asked, costs = (stop.decision for stop in stops), self._ladder.program.costs
         qps = (
             part for qp, result in solved.attempts for part in (costs(result.x, qp), result.report)
         )
-        return (graph, *decisions, *qps, *ignored, *asked, *way.decisions)
+        return (graph, *decisions, *qps, *ignored, *asked, *on_path.decisions)
 
     def _orders(
         self,
-        way: _Way,
+        on_path: _Way,
         planned: _Planned,
         i: int,
         kind: DecisionKind,
@@ -422,7 +437,7 @@ class SpeedStage:
                 lower, upper = blocks.lower.copy(), blocks.upper.copy()
                 (upper if order is DecisionKind.YIELD else lower)[i, took] = bound
                 cost = self._build(
-                    way, replace(blocks, lower=lower, upper=upper), planned.may_overtake
+                    on_path, replace(blocks, lower=lower, upper=upper), planned.may_overtake
                 ).cost
                 costs[order] = float(cost[-1].min())
         words = []
@@ -434,7 +449,7 @@ class SpeedStage:
                 else s - blocks.upper[i, took]
             ).min()
             words.append(f"keeps {keeps:.1f} m")
-        for order in sorted(ORDERS, key=lambda one: one is not kind):
+        for order in sorted(ORDERS, key=lambda order: order is not kind):
             costly = f"costs {costs[order]:.1f}" if costs[order] < COLLIDES else "would collide"
             words.append(f"{ORDERS[order][0]} {costly}")
         return ", ".join(words)

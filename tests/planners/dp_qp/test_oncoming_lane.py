@@ -14,7 +14,7 @@ from replan.logs.plan import DecisionKind, PlanStatus
 from replan.logs.road import Road
 from replan.logs.states import EgoState
 from replan.planners.dp_qp.path.bounds import CorridorConfig, standing_obstacles
-from replan.planners.dp_qp.path.passing import passed_by_oncoming_lane
+from replan.planners.dp_qp.path.oncoming_lane import passed_by_oncoming_lane
 
 EGO = EgoState(0.0, 0.0, 0.0, 0.0, 8.0)
 THING = Other("thing", lambda t: (60.0, 0.0, 0.0, 0.0, 0.0), AgentKind.OBJECT, 5.0, 3.0)

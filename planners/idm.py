@@ -243,7 +243,9 @@ def _rolled_out(
     Returns what `Idm._profile` returns.
     """
     profile, led = np.zeros((3, HORIZON_KNOTS)), np.full(HORIZON_KNOTS, -1)
-    s, v, a, point, k = 0.0, start[0], start[1], 0, 0
+    accel, decel, time_gap, standstill_gap, hardest, jerk = driver
+    s, point, k = 0.0, 0, 0
+    v, a = start
     for n in range(HORIZON_KNOTS):
         profile[0, n], profile[1, n], profile[2, n] = s, v, a
         while point < len(sigma) - 2 and sigma[point + 1] <= s:
@@ -263,10 +265,10 @@ def _rolled_out(
         v_lead = max(speed[led[n]], 0.0) if led[n] >= 0 else 0.0
         slope = (limit[point + 1] - limit[point]) / (sigma[point + 1] - sigma[point])
         wanted = idm_acceleration(
-            v, limit[point], slope, gap, v_lead, driver[0], driver[1], driver[2], driver[3]
+            v, limit[point], slope, gap, v_lead, accel, decel, time_gap, standstill_gap
         )
-        change = driver[5] * STEP_S
-        a = min(max(wanted, -driver[4], a - change), a + change)
+        change = jerk * STEP_S
+        a = min(max(wanted, -hardest, a - change), a + change)
         v_next = v + a * STEP_S
         if v_next <= 0.0:
             s, v, a = s + (0.5 * v * v / -a if a < 0.0 else 0.0), 0.0, 0.0

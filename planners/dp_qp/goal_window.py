@@ -179,7 +179,12 @@ def _least_time(
         fast = min(allowed, sqrt(v * v + 2.0 * accel * (after - s)))
         sums[i % 8] += (after - before) / max(fast, 0.5)
         before = after
-    return ((sums[0] + sums[1]) + (sums[2] + sums[3])) + ((sums[4] + sums[5]) + (sums[6] + sums[7]))
+    count = len(sums)
+    while count > 1:
+        count //= 2
+        for i in range(count):
+            sums[i] = sums[2 * i] + sums[2 * i + 1]
+    return sums[0]
 
 
 def _region(goal: Goal, reference: ReferencePath, beside: float) -> FloatArray:

@@ -214,10 +214,9 @@ class LanePlanner:
         lost, braking = self._horizon, config.failed_s
         if speed is not None and speed.profile is not None:
             lost = (speed.free_m - float(speed.profile[0, -1])) / max(scene.limit, 1.0)  # (1)
-            # (4)
-            braking = (
-                config.failed_s if speed.unavoidable else config.hard_s if speed.reason else 0.0
-            )
+            braking = config.hard_s if speed.reason else 0.0  # (4)
+            if speed.unavoidable:
+                braking = config.failed_s
         changes, change, late = self.least_costs(name, scene, target).terms
         costs = CostTerms(
             f"lane {name}", (("time lost", lost), changes, change, ("braking", braking), late)

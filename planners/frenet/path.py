@@ -142,6 +142,13 @@ def out_of_frame(line: ReferenceLine, state: EgoState, s: float, l: float) -> st
     return ""
 
 
+def curvature_slope(line: ReferenceLine, s: float) -> float:
+    """Derivative of the line's curvature by the station, 1/m2."""
+    _, _, _, kappa_ahead = line.frame(s + 0.25)
+    _, _, _, kappa_behind = line.frame(s - 0.25)
+    return 2.0 * (kappa_ahead - kappa_behind)
+
+
 def frenet_start(
     line: ReferenceLine, state: EgoState, s: float, l: float
 ) -> tuple[float, float, float]:
@@ -150,12 +157,12 @@ def frenet_start(
     Only for states for which `out_of_frame` is empty.
     """
     _, _, yaw_r, kappa_r = line.frame(s)
-    dkappa_r = line.frame(s + 0.25)[3] - line.frame(s - 0.25)[3]
+    dkappa_r = curvature_slope(line, s)
     regular = 1.0 - kappa_r * l
     turn = wrap(state.yaw - yaw_r)
     dl = regular * tan(turn)  # (2)
     ddl = (state.kappa * regular / cos(turn) - kappa_r) * regular / cos(turn) ** 2
-    ddl -= (2.0 * dkappa_r * l + kappa_r * dl) * tan(turn)  # (3)
+    ddl -= (dkappa_r * l + kappa_r * dl) * tan(turn)  # (3)
     return l, dl, ddl
 
 

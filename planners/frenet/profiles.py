@@ -100,7 +100,8 @@ def braking(v0: float, a0: float, decel: float, jerk: float, step: float, knots:
     standstill, b^2 <= 2 jerk v' with the speed v' = v + step (a - b) / 2 that it leaves.
     """
     profile = np.zeros((3, knots))
-    s, v, a, half = 0.0, v0, a0, 0.5 * jerk * step
+    s, v = 0.0, v0
+    a, half = a0, 0.5 * jerk * step
     for i in range(knots):
         profile[0, i], profile[1, i], profile[2, i] = s, v, a
         # (3)
@@ -130,7 +131,8 @@ def cruising(
 ) -> FloatArray:
     """Rows s, v `(2, knots)` of driving at the limit `(m,)` along the path, on a free road."""
     profile = np.zeros((2, knots))
-    s, v, a, i = 0.0, v0, a0, 0
+    s, v = 0.0, v0
+    a, i = a0, 0
     for k in range(knots):
         profile[0, k], profile[1, k] = s, v
         while i < len(sigma) - 2 and sigma[i + 1] < s:
@@ -151,30 +153,11 @@ def trajectory_along(path: Path, profile: FloatArray, t: float) -> Trajectory:
     """The trajectory of a speed profile, rows s, v, a `(3, n)` every 0.1 s from time `t`, along a
     path.
     """
-    rows = _trajectory_rows(
-        path.sigma, path.x, path.y, path.yaw, path.kappa, np.ascontiguousarray(profile), t
+    pose = states_on_path(
+        path.sigma, path.x, path.y, path.yaw, path.kappa, np.ascontiguousarray(profile[0])
     )
-    return Trajectory.of_rows(rows)
-
-
-@kernel
-def _trajectory_rows(
-    sigma: FloatArray,
-    x: FloatArray,
-    y: FloatArray,
-    yaw: FloatArray,
-    kappa: FloatArray,
-    profile: FloatArray,
-    t: float,
-) -> FloatArray:
-    """`trajectory_along` as rows t, x, y, yaw, v, a, kappa `(7, n)`."""
-    rows = np.empty((7, profile.shape[1]))
-    where = states_on_path(sigma, x, y, yaw, kappa, profile[0])
-    rows[1:4], rows[6] = where[:3], where[3]
-    rows[4:6] = profile[1:]
-    for k in range(rows.shape[1]):
-        rows[0, k] = t + STEP_S * k
-    return rows
+    times = t + STEP_S * np.arange(profile.shape[1])
+    return Trajectory.of_rows(np.vstack([times, pose[:3], profile[1:], pose[3:]]))
 
 
 class Stops(NamedTuple):

@@ -143,7 +143,10 @@ def sections(knots: FloatArray, table: FloatArray, s: FloatArray) -> CrossSectio
     """`ReferencePath.at` for other kernels: its `line.s`, its `table`, stations `(k,)`."""
     rows = np.empty((table.shape[1], len(s)))
     write_sections(knots, table, s, rows)
-    return CrossSections(rows[0], rows[1], rows[2], rows[3], rows[4], rows[5], rows[6], rows[7])
+    lane_left, lane_right, road_left, road_right, limit, facing_left, facing_right, kappa = rows
+    return CrossSections(
+        lane_left, lane_right, road_left, road_right, limit, facing_left, facing_right, kappa
+    )
 
 
 @inner_kernel
@@ -198,9 +201,8 @@ def make_reference_path(
         _one_lane_further(road_left, to_left),
         -_one_lane_further(road_right, to_right),
     )
-    into = Counter(
-        after for lane in road.lanes.values() if lane.drivable for after in lane.successors
-    )
+    drivable = [lane for lane in road.lanes.values() if lane.drivable]
+    into = Counter(successor for lane in drivable for successor in lane.successors)
     waits, s = list[float](), 0.0
     for now, then in pairwise(lanes):
         onward = road.lanes[now].successors

@@ -77,6 +77,10 @@ class AgentsAlong(NamedTuple):
     turn: FloatArray
 
 
+SPEED = len(AgentsAlong._fields)
+"""The row of speeds in those of `place_agents`, after `AgentsAlong` and before `CrossSections`."""
+
+
 class Bodies(NamedTuple):
     """The frame's agents in the form that kernels take, `(n,)` each, as in `Agents`."""
 
@@ -192,7 +196,7 @@ def scene_of(
     )
     trouble = out_of_frame(line, start, s, l)
     frenet = (0.0, 0.0, 0.0) if trouble else frenet_start(line, start, s, l)
-    speed = rows[5]
+    speed = rows[SPEED]
     return Scene(
         frame,
         start,
@@ -204,8 +208,8 @@ def scene_of(
         frenet,
         limit,
         bodies,
-        AgentsAlong(*rows[:5]),
-        rows[6:],
+        AgentsAlong(*rows[:SPEED]),
+        rows[SPEED + 1 :],
         speed,
         speed < STANDING_MPS,
         VULNERABLE[agents.codes],
@@ -230,7 +234,8 @@ def place_agents(
     reference path.
     """
     s_ego, l_ego = line_project(knots, coef, ego[0], ego[1], near, within)
-    x, y, vx, vy = bodies.x, bodies.y, bodies.vx, bodies.vy
+    x, y = bodies.x, bodies.y
+    vx, vy = bodies.vx, bodies.vy
     columns = np.empty((14, len(x)))
     for i in range(len(x)):
         window = min(WINDOW_M[0] + WINDOW_SHARE * hypot(x[i] - ego[0], y[i] - ego[1]), WINDOW_M[1])
@@ -240,8 +245,8 @@ def place_agents(
         columns[2, i] = vx[i] * cos(along) + vy[i] * sin(along)  # (1)
         columns[3, i] = vy[i] * cos(along) - vx[i] * sin(along)
         columns[4, i] = wrap(bodies.yaw[i] - along)  # (2)
-        columns[5, i] = hypot(vx[i], vy[i])
-    write_sections(knots, table, columns[0], columns[6:])
+        columns[SPEED, i] = hypot(vx[i], vy[i])
+    write_sections(knots, table, columns[0], columns[SPEED + 1 :])
     return s_ego, l_ego, interpolated(s_ego, knots, limits), columns
 
 

@@ -187,8 +187,12 @@ def decide(
         is_past = True
         for k in range(len(s)):
             is_past &= isnan(lower[i, k]) or s[k] >= 0.5 * (lower[i, k] + upper[i, k])
-        stands, along = total[i] < STANDING_MPS, speed[i] > ALONG * total[i]
-        codes[i] = OVERTAKE if is_past else STOP if stands else FOLLOW if along else YIELD  # (4)
+        if is_past:  # (4)
+            codes[i] = OVERTAKE
+        elif total[i] < STANDING_MPS:
+            codes[i] = STOP
+        else:
+            codes[i] = FOLLOW if speed[i] > ALONG * total[i] else YIELD
     return codes
 
 
@@ -280,10 +284,12 @@ def sweep(
     samples apart.
     """
     t = futures.t[::stride] - now
-    x, y, yaw, size = futures.x, futures.y, futures.yaw, len(futures.agent)
+    x, y = futures.x, futures.y
+    yaw, size = futures.yaw, len(futures.agent)
     rows, speed = np.empty(size, np.int64), np.empty(size)
     lower, upper = np.full((size, len(t)), np.nan), np.full((size, len(t)), np.nan)
-    low_x, high_x, low_y, high_y = swept.x.min(), swept.x.max(), swept.y.min(), swept.y.max()
+    low_x, high_x = swept.x.min(), swept.x.max()
+    low_y, high_y = swept.y.min(), swept.y.max()
     widest = ego.width + 2.0 * max(ego.margin, ego.vulnerable_margin, ego.passed_margin)
     boxes, moved = _ego_boxes(swept, 0, 0.0, 0.0)
     parts, other = boxes, np.empty((4, len(t)))
@@ -359,22 +365,21 @@ def _takes(
     for group in range(around.shape[1]):
         # The points of the parts whose envelopes meet that of these samples; 0, 0: none
         begin, end = 0, 0
-        x, y, c, s = around[0, group], around[1, group], around[2, group], around[3, group]
-        length, width = around[4, group] + ROUNDING_M, around[5, group] + ROUNDING_M
+        samples = _box_of(around, group)
         for e in range(parts.shape[1]):
-            part = parts[0, e], parts[1, e], parts[2, e], parts[3, e], parts[4, e], parts[5, e]
-            if _touch(x, y, c, s, length, width, part):
+            if _touch(samples, _box_of(parts, e), ROUNDING_M):
                 begin, end = (begin if end else e * PART), (e + 1) * PART
+        if begin == end:
+            continue
         end = min(end, boxes.shape[1])
-        for k in range(
-            group * SAMPLES, min((group + 1) * SAMPLES, len(lower)) if begin < end else 0
-        ):
+        for k in range(group * SAMPLES, min((group + 1) * SAMPLES, len(lower))):
             before = max(k - 1, 0)
             stays = k > 0 and other[0, k] == other[0, before] and other[1, k] == other[1, before]
             if stays and other[2, k] == other[2, before] and other[3, k] == other[3, before]:
                 lower[k], upper[k] = lower[k - 1], upper[k - 1]
                 continue
-            box = other[0, k], other[1, k], other[2, k], other[3, k], other_size[0], other_size[1]
+            length, width = other_size
+            box = _Box(other[0, k], other[1, k], other[2, k], other[3, k], length, width)
             met = _first_met(boxes, begin, end, moved, ego_size, box)
             if met >= 0:
                 leaves = _first_met(boxes, end - 1, met - 1, moved, ego_size, box)
@@ -406,7 +411,7 @@ def _ego_boxes(
 
 @inner_kernel
 def _envelopes(boxes: FloatArray, every: np.int64, length: float, width: float) -> FloatArray:
-    """Boxes around groups of a sequence: rows x, y, cos yaw, sin yaw, half length, half width.
+    """Boxes around groups of a sequence: rows x, y, cos yaw, sin yaw, length, width.
 
     The sequence has the rows x, y, cos yaw, sin yaw; all boxes have one size. An envelope has the
     heading of its middle box. `every` is not a literal, since numba would compile the function for
@@ -416,52 +421,65 @@ def _envelopes(boxes: FloatArray, every: np.int64, length: float, width: float) 
     for e in range(envelopes.shape[1]):
         begin, end = e * every, min((e + 1) * every, boxes.shape[1])
         m = (begin + end) // 2
-        x, y, c, s = boxes[0, m], boxes[1, m], boxes[2, m], boxes[3, m]
-        rear, front, right, left = inf, -inf, inf, -inf
+        x, y = boxes[0, m], boxes[1, m]
+        c, s = boxes[2, m], boxes[3, m]
+        rear, front = inf, -inf
+        right, left = inf, -inf
         for j in range(begin, end):
             dx, dy = boxes[0, j] - x, boxes[1, j] - y
             along, aside = c * dx + s * dy, c * dy - s * dx
-            straight, across = (
-                abs(c * boxes[2, j] + s * boxes[3, j]),
-                abs(c * boxes[3, j] - s * boxes[2, j]),
-            )
-            half = (
-                0.5 * (length * straight + width * across),
-                0.5 * (length * across + width * straight),
-            )
-            rear, front = min(rear, along - half[0]), max(front, along + half[0])
-            right, left = min(right, aside - half[1]), max(left, aside + half[1])
+            straight = abs(c * boxes[2, j] + s * boxes[3, j])
+            across = abs(c * boxes[3, j] - s * boxes[2, j])
+            half_length = 0.5 * (length * straight + width * across)
+            half_width = 0.5 * (length * across + width * straight)
+            rear, front = min(rear, along - half_length), max(front, along + half_length)
+            right, left = min(right, aside - half_width), max(left, aside + half_width)
         along, aside = 0.5 * (rear + front), 0.5 * (right + left)
         envelopes[0, e], envelopes[1, e] = x + c * along - s * aside, y + s * along + c * aside
-        envelopes[2, e], envelopes[3, e], envelopes[4, e], envelopes[5, e] = (
-            c,
-            s,
-            0.5 * (front - rear),
-            0.5 * (left - right),
-        )
+        envelopes[2, e], envelopes[3, e] = c, s
+        envelopes[4, e], envelopes[5, e] = front - rear, left - right
     return envelopes
 
 
+class _Box(NamedTuple):
+    """A box: its centre, m, the cosine and the sine of its heading, its length and width, m."""
+
+    x: float
+    y: float
+    c: float
+    s: float
+    length: float
+    width: float
+
+
 @inner_kernel
-def _touch(
-    x: float,
-    y: float,
-    c: float,
-    s: float,
-    length: float,
-    width: float,
-    other: tuple[float, float, float, float, float, float],
-) -> bool:
-    """Whether boxes x, y, cos yaw, sin yaw, half length, half width touch (`replan.logs.shapes`,
-    (1)).
+def _box_of(envelopes: FloatArray, e: int) -> _Box:
+    """One of the `_envelopes`."""
+    return _Box(
+        envelopes[0, e],
+        envelopes[1, e],
+        envelopes[2, e],
+        envelopes[3, e],
+        envelopes[4, e],
+        envelopes[5, e],
+    )
+
+
+@inner_kernel
+def _touch(box: _Box, other: _Box, slack: float) -> bool:
+    """Whether two boxes touch, the first one wider by `slack`, m, on each side
+    (`replan.logs.shapes`, (1)).
     """
-    dx, dy = other[0] - x, other[1] - y
-    straight, across = abs(c * other[2] + s * other[3]), abs(c * other[3] - s * other[2])
+    length, width = 0.5 * box.length + slack, 0.5 * box.width + slack
+    other_length, other_width = 0.5 * other.length, 0.5 * other.width
+    dx, dy = other.x - box.x, other.y - box.y
+    straight = abs(box.c * other.c + box.s * other.s)
+    across = abs(box.c * other.s - box.s * other.c)
     return bool(
-        abs(dx * s - dy * c) <= width + other[4] * across + other[5] * straight
-        and abs(dx * c + dy * s) <= length + other[4] * straight + other[5] * across
-        and abs(dx * other[3] - dy * other[2]) <= other[5] + length * across + width * straight
-        and abs(dx * other[2] + dy * other[3]) <= other[4] + length * straight + width * across
+        abs(dx * box.s - dy * box.c) <= width + other_length * across + other_width * straight
+        and abs(dx * box.c + dy * box.s) <= length + other_length * straight + other_width * across
+        and abs(dx * other.s - dy * other.c) <= other_width + length * across + width * straight
+        and abs(dx * other.c + dy * other.s) <= other_length + length * straight + width * across
     )
 
 
@@ -472,29 +490,32 @@ def _first_met(
     end: int,
     moved: float,
     size: tuple[float, float],
-    other: tuple[float, float, float, float, float, float],
+    other: _Box,
 ) -> int:
     """The first point from `begin` to `end`, exclusive, forwards or backwards, at which the ego
     meets a box; -1: none.
 
     It skips points at which the gap cannot have closed: from one to the next no point of the ego's
-    box moves farther than `moved` m. The `other` box is x, y, cos yaw, sin yaw, length, width.
+    box moves farther than `moved` m.
     """
     j, step = begin, 1 if end > begin else -1
+    length, width = size
     while (end - j) * step > 0:
+        x, y = boxes[0, j], boxes[1, j]
+        c, s = boxes[2, j], boxes[3, j]
         gap = axis_gap(
-            boxes[0, j],
-            boxes[1, j],
-            boxes[2, j],
-            boxes[3, j],
-            size[0],
-            size[1],
-            other[0],
-            other[1],
-            other[2],
-            other[3],
-            other[4],
-            other[5],
+            x,
+            y,
+            c,
+            s,
+            length,
+            width,
+            other.x,
+            other.y,
+            other.c,
+            other.s,
+            other.length,
+            other.width,
         )
         if gap <= 0.0:
             return j
@@ -509,7 +530,7 @@ def _edge(
     met: int,
     free: int,
     size: tuple[float, float],
-    other: tuple[float, float, float, float, float, float],
+    other: _Box,
 ) -> float:
     """The station next to point `met`, which overlaps, towards point `free`, at which the ego does
     not overlap.
@@ -517,14 +538,14 @@ def _edge(
     if free < 0 or free >= boxes.shape[1]:
         return sigma[met]
     low, high = 0.0, 1.0  # share of the way from `met` to `free`: overlaps at low, not at high
-    around = other[0], other[1], other[2], other[3], 0.5 * other[4], 0.5 * other[5]
+    length, width = size
     bend = wrap(boxes[4, free] - boxes[4, met])
     for _ in range(HALVINGS):
         u = 0.5 * (low + high)
         x = boxes[0, met] + u * (boxes[0, free] - boxes[0, met])
         y = boxes[1, met] + u * (boxes[1, free] - boxes[1, met])
         yaw = boxes[4, met] + u * bend
-        if _touch(x, y, cos(yaw), sin(yaw), 0.5 * size[0], 0.5 * size[1], around):
+        if _touch(_Box(x, y, cos(yaw), sin(yaw), length, width), other, 0.0):
             low = u
         else:
             high = u

@@ -84,6 +84,8 @@ REASONS = {
     Fault.STOP_LINE: "passes a place where it must stop",
 }
 """The faults in words."""
+X, Y, YAW, SPEED, ACCEL, KAPPA, OFFSET, TURN, REGULAR = range(9)
+"""Rows of `states`."""
 FAULTS = len(Fault)  # Length of a count by fault: kernels cannot count an enumeration
 
 
@@ -117,9 +119,10 @@ def evaluate_polynomial(c: FloatArray, T: float, x: float) -> tuple[float, float
     Beyond T it continues linearly.
     """
     u = min(x, T)
-    value = ((((c[5] * u + c[4]) * u + c[3]) * u + c[2]) * u + c[1]) * u + c[0]
-    first = (((5.0 * c[5] * u + 4.0 * c[4]) * u + 3.0 * c[3]) * u + 2.0 * c[2]) * u + c[1]
-    second = ((20.0 * c[5] * u + 12.0 * c[4]) * u + 6.0 * c[3]) * u + 2.0 * c[2]
+    c0, c1, c2, c3, c4, c5 = c
+    value = ((((c5 * u + c4) * u + c3) * u + c2) * u + c1) * u + c0
+    first = (((5.0 * c5 * u + 4.0 * c4) * u + 3.0 * c3) * u + 2.0 * c2) * u + c1
+    second = ((20.0 * c5 * u + 12.0 * c4) * u + 6.0 * c3) * u + 2.0 * c2
     return (value + first * (x - T), first, 0.0) if x > T else (value, first, second)
 
 
@@ -168,28 +171,30 @@ def states(
     a = s_ddot R / cos d + s_dot^2 / cos d (R tan d (kappa R / cos d - kappa_r) - (kappa_r' l +
     kappa_r l')) with R = 1 - kappa_r l and d the heading off the line.
     """
-    out = np.empty((9, motion.shape[1]))
+    rows = np.empty((9, motion.shape[1]))
     for k in range(motion.shape[1]):
-        ahead = motion[0, k]
+        ahead, v, a = motion[0, k], motion[1, k], motion[2, k]
         l, dl, ddl = evaluate_polynomial(lateral, D, ahead)
         x, y, yaw_r, kappa_r = line_frame(knots, coef, s0 + ahead)
         s = s0 + ahead
         dkappa_r = 2.0 * (
             line_curvature(knots, coef, s + 0.25) - line_curvature(knots, coef, s - 0.25)
         )
-        out[8, k] = 1.0 - kappa_r * l
-        R = max(out[8, k], MIN_REGULAR)
+        regular = 1.0 - kappa_r * l
+        R = max(regular, MIN_REGULAR)
         turn = atan2(dl, R)
         c, bend = cos(turn), dkappa_r * l + kappa_r * dl
         kappa = ((ddl + bend * tan(turn)) * c * c / R + kappa_r) * c / R
-        out[0, k], out[1, k], out[2, k] = x - l * sin(yaw_r), y + l * cos(yaw_r), yaw_r + turn
-        out[3, k] = motion[1, k] * R / c
-        out[4, k] = motion[2, k] * R / c
-        out[4, k] += motion[1, k] ** 2 / c * (R * tan(turn) * (kappa * R / c - kappa_r) - bend)
-        out[5, k], out[6, k], out[7, k] = kappa, l, turn
+        rows[X, k], rows[Y, k] = x - l * sin(yaw_r), y + l * cos(yaw_r)
+        rows[YAW, k] = yaw_r + turn
+        rows[SPEED, k] = v * R / c
+        rows[ACCEL, k] = a * R / c
+        rows[ACCEL, k] += v**2 / c * (R * tan(turn) * (kappa * R / c - kappa_r) - bend)
+        rows[KAPPA, k], rows[OFFSET, k] = kappa, l
+        rows[TURN, k], rows[REGULAR, k] = turn, regular
         if k > 0:
-            out[2, k] = out[2, k - 1] + wrap(out[2, k] - out[2, k - 1])
-    return out
+            rows[YAW, k] = rows[YAW, k - 1] + wrap(rows[YAW, k] - rows[YAW, k - 1])
+    return rows
 
 
 @kernel
@@ -342,7 +347,7 @@ def _met(
 
 @inner_kernel
 def drive_fault(
-    at: FloatArray,
+    drive: FloatArray,
     motion: FloatArray,
     s0: float,
     room: Room,
@@ -356,23 +361,22 @@ def drive_fault(
     A bound that the start violates may stay violated by as much as at the start, but not more.
     `skip`: ignored agents.
     """
-    out = _outside(at[6, 0], s0, room.knots, room.left, room.right) + 0.02
-    kappa_max = max(ego.max_kappa, abs(at[5, 0]) + 0.01)
-    lat_max = max(ego.lat_accel, at[3, 0] ** 2 * abs(at[5, 0]) + 0.2)
-    for k in range(at.shape[1]):
-        if at[8, k] < MIN_REGULAR or abs(at[7, k]) > MAX_TURN:
+    outside = _outside(drive[OFFSET, 0], s0, room.knots, room.left, room.right) + 0.02
+    kappa_max = max(ego.max_kappa, abs(drive[KAPPA, 0]) + 0.01)
+    lat_max = max(ego.lat_accel, drive[SPEED, 0] ** 2 * abs(drive[KAPPA, 0]) + 0.2)
+    for k in range(drive.shape[1]):
+        v, bend = drive[SPEED, k], abs(drive[KAPPA, k])
+        if drive[REGULAR, k] < MIN_REGULAR or abs(drive[TURN, k]) > MAX_TURN:
             return Fault.FRAME.value
-        if abs(at[5, k]) > kappa_max:
+        if bend > kappa_max:
             return Fault.CURVATURE.value
-        if at[3, k] ** 2 * abs(at[5, k]) > lat_max:
+        if v**2 * bend > lat_max:
             return Fault.LATERAL_ACCELERATION.value
-        if _outside(at[6, k], s0 + motion[0, k], room.knots, room.left, room.right) > out:
+        s = s0 + motion[0, k]
+        if _outside(drive[OFFSET, k], s, room.knots, room.left, room.right) > outside:
             return Fault.CORRIDOR.value
-        if (
-            k > 0
-            and at[3, k] > REST_MPS
-            and _met(at[0, k], at[1, k], at[2, k], k, others, skip, ego)
-        ):
+        x, y, yaw = drive[X, k], drive[Y, k], drive[YAW, k]
+        if k > 0 and v > REST_MPS and _met(x, y, yaw, k, others, skip, ego):
             return Fault.COLLISION.value
     return Fault.NONE.value
 
@@ -396,9 +400,9 @@ def first_feasible(
             pairs.lon.coef[i : i + 1], pairs.lon.T[i : i + 1], HORIZON_STEPS
         )[0]
         lateral = lateral_polynomial(start, pairs.l1[pair], pairs.length[pair])
-        at = states(room.knots, room.coef, ego.s, lateral, pairs.length[pair], motion)
+        drive = states(room.knots, room.coef, ego.s, lateral, pairs.length[pair], motion)
         unseen = others.behind[1] if pairs.changes[pair] else others.behind[0]
-        fault = drive_fault(at, motion, ego.s, room, others, unseen, body)
+        fault = drive_fault(drive, motion, ego.s, room, others, unseen, body)
         if fault == 0:
             return pair, counts
         counts[fault] += 1

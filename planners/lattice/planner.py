@@ -1,7 +1,6 @@
 """The planner: start, scene, pairs, the first feasible pair in order of cost; or the fallback.
 
-The module also selects the polynomials to try, and makes the artefacts of a plan: both graphs,
-decisions, costs.
+The module also selects the polynomials to try.
 """
 
 from __future__ import annotations
@@ -14,26 +13,14 @@ from typing import Annotated
 import numpy as np
 from msgspec import Meta
 
-from replan.core.arrays import FloatArray, IntArray, arc_lengths
+from replan.core.arrays import FloatArray, IntArray
 from replan.core.settings import Config, NotNegative, Positive
 from replan.logs.frame import Frame, PlannerContext
-from replan.logs.plan import (
-    Artefact,
-    Candidates,
-    Corridor,
-    CostTerms,
-    Decision,
-    DecisionKind,
-    GraphObstacle,
-    Internals,
-    Plan,
-    SlGraph,
-    StGraph,
-)
+from replan.logs.plan import Artefact, Candidates, Internals, Plan
 from replan.logs.shapes import overlap
 from replan.logs.states import Trajectory, wrap
 from replan.logs.vehicle import VehicleParameters
-from replan.planners.frenet.path import Path, path_through
+from replan.planners.frenet.path import curvature_slope
 from replan.planners.frenet.profiles import (
     HORIZON_KNOTS,
     HORIZON_STEPS,
@@ -53,14 +40,10 @@ from replan.planners.frenet.scene import (
     open_end,
     upper_bound,
 )
-from replan.planners.frenet.st_boundaries import (
-    StGraphConfig,
-    decide_speed,
-    outlines,
-    st_boundaries,
-)
+from replan.planners.frenet.st_boundaries import StGraphConfig
+from replan.planners.lattice.artefacts import ChosenPair, make_artefacts
 from replan.planners.lattice.candidates import (
-    COST_PARTS,
+    KAPPA,
     REASONS,
     REST_MPS,
     STRIDE,
@@ -91,7 +74,6 @@ SHORT = 4.0
 STOP_S = 1.0  # The ego brakes for a stop that the rules demand from this time, s ...
 STOP_M = 2.0  # ... and this distance, m, before gentle braking would have to begin.
 NEAR_M = 30.0  # Agents that stay farther than this from the ego's reach are left out, m
-EVERY = 4  # Samples of the plan per point of the S-L graph
 Row = tuple[float, float, float, float, float, float, float]
 """A longitudinal polynomial: c3, c4, c5, duration, end speed, missed distance, track or -1."""
 
@@ -157,16 +139,17 @@ def ego_frenet(scene: Scene) -> FrenetStart:
 
     Near standstill it drops a deceleration that would soon make the ego reverse.
     """
-    line, start, s0, l0, lateral = scene.reference.line, scene.start, scene.s, scene.l, scene.frenet
+    line, start = scene.reference.line, scene.start
+    s0, l0, (_, dl0, _) = scene.s, scene.l, scene.frenet
     _, _, yaw_r, kappa_r = line.frame(s0)
     R, turn = 1.0 - kappa_r * l0, wrap(start.yaw - yaw_r)
     speed = max(start.v, 0.0) * cos(turn) / R
-    dkappa_r = 2.0 * (line.frame(s0 + 0.25)[3] - line.frame(s0 - 0.25)[3])
+    dkappa_r = curvature_slope(line, s0)
     turning = R * tan(turn) * (start.kappa * R / cos(turn) - kappa_r) - (
-        dkappa_r * l0 + kappa_r * lateral[1]
+        dkappa_r * l0 + kappa_r * dl0
     )
     accel = (start.a - speed**2 / cos(turn) * turning) * cos(turn) / R
-    return FrenetStart(s0, lateral, speed, max(accel, -6.0 * speed))
+    return FrenetStart(s0, scene.frenet, speed, max(accel, -6.0 * speed))
 
 
 def futures_of(scene: Scene, ego: FrenetStart, config: LatticeConfig) -> NearFutures:
@@ -174,25 +157,27 @@ def futures_of(scene: Scene, ego: FrenetStart, config: LatticeConfig) -> NearFut
 
     Before and after the predictions they stay.
     """
-    frame, start, line, car = scene.frame, scene.start, scene.reference.line, scene.vehicle
+    frame, start = scene.frame, scene.start
+    line, car = scene.reference.line, scene.vehicle
     agents, futures = frame.agents, frame.predictions
     reach = HORIZON_STEPS * STEP_S * (ego.speed + 3.0) + NEAR_M  # farther than the ego can get
-    way = np.vstack(
-        [line.xy[(line.s > ego.s - NEAR_M) & (line.s < ego.s + reach)], [[start.x, start.y]]]
-    )
-    low, high = way.min(axis=0) - NEAR_M, way.max(axis=0) + NEAR_M
+    within_reach = (line.s > ego.s - NEAR_M) & (line.s < ego.s + reach)
+    points = np.vstack([line.xy[within_reach], [[start.x, start.y]]])
+    low, high = points.min(axis=0) - NEAR_M, points.max(axis=0) + NEAR_M
     near = np.zeros(len(futures), np.bool_)
     if len(futures):
         near = (futures.x.max(axis=1) > low[0]) & (futures.x.min(axis=1) < high[0])
         near &= (futures.y.max(axis=1) > low[1]) & (futures.y.min(axis=1) < high[1])
     used = np.flatnonzero(near)
     agent, t = futures.agent[used], futures.t - frame.t
-    at = np.clip(STEP_S * np.arange(HORIZON_KNOTS), t[0], t[-1])
-    first = np.clip(np.searchsorted(t, at + 1e-9) - 1, 0, max(len(t) - 2, 0))
-    after = np.minimum(first + 1, len(t) - 1)
-    u = (at - t[first]) / np.where(after > first, t[after] - t[first], 1.0)
+    times = np.clip(STEP_S * np.arange(HORIZON_KNOTS), t[0], t[-1])
+    before = np.clip(np.searchsorted(t, times + 1e-9) - 1, 0, max(len(t) - 2, 0))
+    after = np.minimum(before + 1, len(t) - 1)
+    share = (times - t[before]) / np.where(after > before, t[after] - t[before], 1.0)
     rows = np.stack([futures.x[used], futures.y[used], futures.yaw[used]])
-    pose = np.ascontiguousarray(rows[:, :, first] + u * (rows[:, :, after] - rows[:, :, first]))
+    pose = np.ascontiguousarray(
+        rows[:, :, before] + share * (rows[:, :, after] - rows[:, :, before])
+    )
     sizes = np.vstack([agents.length[agent], agents.width[agent], np.zeros(len(agent))])
     x, y = start.ahead(car.axle_to_center)
     for j, i in enumerate(agent):
@@ -204,10 +189,8 @@ def futures_of(scene: Scene, ego: FrenetStart, config: LatticeConfig) -> NearFut
     thin = [np.ascontiguousarray(rows[:, ::STRIDE]) for rows in pose]
     frenet = futures_frenet(line.s, line.coef, thin[0], thin[1], thin[2], sizes, ego.s)
     speed = (frenet[0, :, 1] - frenet[0, :, 0]) / (STRIDE * STEP_S)
-    follow = [behind(scene, keeps_track=keeps) for keeps in (True, False)]
-    return NearFutures(
-        agent, pose, frenet, speed, sizes, np.array([rows[agent] for rows in follow])
-    )
+    follow = np.array([behind(scene, keeps_track=keeps)[agent] for keeps in (True, False)])
+    return NearFutures(agent, pose, frenet, speed, sizes, follow)
 
 
 class Sampler:
@@ -245,16 +228,16 @@ class Sampler:
         its tracks.
         """
         config, stations, aim = self._config, self._reference.line.s, open_end(stops)
-        spacing, there = config.offset_spacing_m, ego.s + 2.0 * ego.speed + 10.0
-        left, right = (float(np.interp(there, stations, edge)) for edge in (self.left, self.right))
+        spacing, ahead = config.offset_spacing_m, ego.s + 2.0 * ego.speed + 10.0
+        left, right = (float(np.interp(ahead, stations, edge)) for edge in (self.left, self.right))
         count = max(floor(left / spacing), floor(-right / spacing), 0)
-        both = [
+        all_offsets = [
             side * k * spacing
             for k in range(1, count + 1)
             for side in (self._first_side, -self._first_side)
         ]
         # The middle first
-        offsets = np.array([0.0, *(offset for offset in both if right <= offset <= left)])
+        offsets = np.array([0.0, *(offset for offset in all_offsets if right <= offset <= left)])
         rests = aim < ego.speed * STOP_S + 0.5 * ego.speed**2 / config.ease_mps2 + STOP_M
         soon = np.linspace(ego.s, ego.s + 3.0 * ego.speed + 5.0, 8)  # within the next 3 s
         wanted = 0.0 if rests else float(np.interp(soon, stations, self.limit).min())
@@ -262,9 +245,10 @@ class Sampler:
             *self._keeping(ego, wanted, aim if rests else np.inf),
             *self._reaching(ego, futures, offsets),
         ]
-        columns = np.array(rows).T.copy()
-        coef = np.array([(0.0, ego.speed, 0.5 * ego.accel, *row[:3]) for row in rows])
-        lon = Longitudinal(coef, columns[3], columns[4], columns[5], columns[6].astype(np.int64))
+        c3, c4, c5, duration, end_speed, missed, track = np.array(rows).T.copy()
+        start = (0.0, ego.speed, 0.5 * ego.accel)
+        coef = np.column_stack([np.tile(start, (len(rows), 1)), c3, c4, c5])
+        lon = Longitudinal(coef, duration, end_speed, missed, track.astype(np.int64))
         motion = sample_polynomials(lon.coef, lon.T, HORIZON_STEPS)
         allowed = (
             braking(ego.speed, ego.accel, config.ease_mps2, 3.0, STEP_S, HORIZON_KNOTS)[1] + 0.3
@@ -278,12 +262,12 @@ class Sampler:
             timed = upper_bound([stop for stop in stops if stop.until < np.inf], t, np.inf)
             upper = np.where(t < STOP_S, upper, timed)
         faults = speed_faults(motion, ego.s, stations, self.limit, allowed, upper, bounds)
-        each = np.where(lon.track < 0, len(offsets), 1) * len(config.lateral_durations_s)
-        counts = np.bincount(faults, weights=each, minlength=len(Fault)).astype(np.int64)
+        pairs = np.where(lon.track < 0, len(offsets), 1) * len(config.lateral_durations_s)
+        counts = np.bincount(faults, weights=pairs, minlength=len(Fault)).astype(np.int64)
         counts[Fault.NONE] = 0
         fit = faults == Fault.NONE
-        kept = Longitudinal(*(column[fit] for column in lon))
-        return self._pair_candidates(ego, futures, kept, motion[fit], offsets, wanted, counts)
+        fitting = Longitudinal(*(column[fit] for column in lon))
+        return self._pair_candidates(ego, futures, fitting, motion[fit], offsets, wanted, counts)
 
     def _keeping(self, ego: FrenetStart, wanted: float, aim: float) -> list[Row]:
         """Polynomials to speeds up to the wanted one, to the ego's own speed, and to rest, from
@@ -365,7 +349,7 @@ class Sampler:
             np.array([c.standstill_gap_m, c.time_gap_s]),
             np.array([c.w_jerk, c.w_lateral_time, c.w_offset]),
         )
-        row, l1, length, changes, costs = [], [], [], [], []
+        columns, costs = [], []
         for track, offset in enumerate(offsets):
             rows = np.flatnonzero((lon.track < 0) | (lon.track == track))
             moves = abs(float(offset) - ego.lateral[0]) > TRACK_M
@@ -383,16 +367,14 @@ class Sampler:
             )
             sideways, D = lateral_costs(tracked, np.array(ego.lateral), offset, T, weights)
             n = len(rows) * len(T)
-            row.append(np.repeat(rows, len(T)))
-            l1.append(np.full(n, offset))
-            length.append(D.ravel())
-            changes.append(np.full(n, moves))
+            pairs = (np.repeat(rows, len(T)), np.full(n, offset), D.ravel(), np.full(n, moves))
+            columns.append(pairs)
             lateral = np.array(
                 [c.w_lateral * sideways.ravel(), np.repeat(c.w_gap * missing, len(T))]
             )
             costs.append(np.vstack([np.repeat(own[:, rows], len(T), axis=1), lateral]))
-        flat = [np.concatenate(part) for part in (row, l1, length, changes)]
-        return Pairs(lon, flat[0], flat[1], flat[2], flat[3], np.concatenate(costs, axis=1), faults)
+        row, l1, length, changes = map(np.concatenate, zip(*columns, strict=True))
+        return Pairs(lon, row, l1, length, changes, np.concatenate(costs, axis=1), faults)
 
 
 class Lattice:
@@ -413,6 +395,9 @@ class Lattice:
         passes_left = context.road.drives_on_right
         self._sampler = Sampler(
             self._tracker.reference, self._vehicle, self._config, passes_left=passes_left
+        )
+        self._margins = StGraphConfig(
+            self._config.margin_m, self._config.vulnerable_margin_m, early_s=0.0, late_s=0.0
         )
 
     def plan(self, frame: Frame) -> Plan:
@@ -456,111 +441,17 @@ class Lattice:
             pairs.lon.coef[row, None], pairs.lon.T[row, None], HORIZON_STEPS
         )[0]
         lateral = lateral_polynomial(np.array(ego.lateral), pairs.l1[chosen], pairs.length[chosen])
-        at = states(line.s, line.coef, scene.s, lateral, pairs.length[chosen], motion)
-        x, y, yaw, v, a, kappa = at[:6]
-        t, rest = frame.t + STEP_S * np.arange(at.shape[1]), v < 1e-3  # standstill is exact
-        way = Trajectory(
-            t,
-            x,
-            y,
-            yaw,
-            np.where(rest, 0.0, v),
-            np.where(rest & (np.abs(a) < REST_MPS), 0.0, a),
-            kappa,
-        )
+        drive = states(line.s, line.coef, scene.s, lateral, pairs.length[chosen], motion)
+        x, y, yaw, v, a, kappa = drive[: KAPPA + 1]
+        rests = v < 1e-3  # standstill is exact
+        t = frame.t + STEP_S * np.arange(len(v))
+        v = np.where(rests, 0.0, v)
+        a = np.where(rests & (np.abs(a) < REST_MPS), 0.0, a)
 
         def internals() -> tuple[Artefact, ...]:
-            shown = artefacts(
-                ChosenPair(scene, ego, futures, pairs, chosen, at, motion), self._config
-            )
-            return (*shown, *(stop.decision for stop in stops), counted)
+            pair = ChosenPair(scene, ego, futures, pairs, chosen, drive, motion)
+            drawn = make_artefacts(pair, self._margins)
+            return (*drawn, *(stop.decision for stop in stops), counted)
 
-        return Plan(way, start=start_kind, internals=Internals((), internals))
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class ChosenPair:
-    """The chosen pair of a scene: its `states` `(9, k)`, and its s, s_dot, s_ddot `(3, k)`."""
-
-    scene: Scene
-    ego: FrenetStart
-    futures: NearFutures
-    pairs: Pairs
-    pair: int
-    at: FloatArray
-    motion: FloatArray
-
-
-def artefacts(chosen: ChosenPair, config: LatticeConfig) -> tuple[Artefact, ...]:
-    """Graphs, decisions and costs of the chosen pair.
-
-    Each agent that stands in the middle of the road and that the ego passes has a decision with the
-    side.
-    """
-    scene, ego, motion, passed = chosen.scene, chosen.ego, chosen.motion, dict[str, Decision]()
-    half, l1 = 0.5 * scene.vehicle.width, float(chosen.pairs.l1[chosen.pair])
-    for j, i in enumerate(chosen.futures.agent):
-        s, l, half_s, half_l = chosen.futures.frenet[:, j, 0]
-        reached = ego.s < s and s + half_s < ego.s + motion[0, -1]
-        if scene.standing[i] and reached and abs(l) < half_l + half + config.margin_m:
-            beside = float(np.interp(s - ego.s, motion[0], chosen.at[6]))
-            kind = DecisionKind.NUDGE_LEFT if beside > l else DecisionKind.NUDGE_RIGHT
-            gap = abs(beside - l) - half_l - half
-            reason = (
-                f"stands in the middle of the lane: passed with {gap:.2f} m at the end offset "
-                f"{l1:.1f} m"
-            )
-            passed[scene.frame.agents.ids[i]] = Decision(
-                scene.frame.agents.ids[i], kind, "path", reason
-            )
-    decided, boxes = tuple(passed.values()), []
-    lane, s = scene.reference, ego.s + motion[0, ::EVERY]
-    line = np.column_stack([s, chosen.at[6, ::EVERY]])[np.r_[True, np.diff(s) > 1e-3]]
-    grid = ego.s + np.arange(0.0, max(float(motion[0, -1]), 10.0), 4.0)
-    edges = [
-        np.interp(grid, lane.line.s, edge)
-        for edge in (lane.road_right + half, lane.road_left - half)
-    ]
-    for j, i in enumerate(chosen.futures.agent):
-        s_mid, l, half_s, half_l = chosen.futures.frenet[:, j, 0]
-        if scene.standing[i] and abs(l) < 10.0:
-            name = scene.frame.agents.ids[i]
-            outline = np.array(
-                [
-                    (s_mid + a * half_s, l + b * half_l)
-                    for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))
-                ]
-            )
-            boxes.append(
-                GraphObstacle(
-                    name, outline, passed[name].kind if name in passed else DecisionKind.IGNORE
-                )
-            )
-    sl_graph = SlGraph(None, Corridor(grid, *edges), np.empty((0, 2)), line, tuple(boxes))
-    costs = CostTerms(
-        "lattice", tuple(zip(COST_PARTS, chosen.pairs.costs[:, chosen.pair].tolist(), strict=True))
-    )
-    return (sl_graph, *_graph_along(chosen, config), *decided, costs)
-
-
-def _graph_along(chosen: ChosenPair, config: LatticeConfig) -> tuple[Artefact, ...]:
-    """The S-T graph along the planned path, and the decisions to follow, yield to or overtake
-    agents.
-    """
-    scene, at, futures = chosen.scene, chosen.at, chosen.futures
-    way, d = path_through(at[0], at[1], at[2], at[5]), np.arange(1.0, 30.0)
-    sigma, yaw = np.r_[way.sigma, way.sigma[-1] + d], way.yaw[-1]  # straight on, to show its leader
-    x, y = np.r_[way.x, way.x[-1] + d * np.cos(yaw)], np.r_[way.y, way.y[-1] + d * np.sin(yaw)]
-    turned, bent = np.r_[way.yaw, np.full(len(d), yaw)], np.r_[way.kappa, np.zeros(len(d))]
-    path = Path(sigma, x, y, turned, bent, chosen.ego.s + sigma)
-    skip = np.ones(len(scene.frame.agents), np.bool_)
-    skip[futures.agent[~futures.behind[int(chosen.pairs.changes[chosen.pair])]]] = False
-    exact = StGraphConfig(config.margin_m, config.vulnerable_margin_m, early_s=0.0, late_s=0.0)
-    blocks = st_boundaries(scene, path, skip, frozenset(), exact)
-    t = STEP_S * np.arange(at.shape[1])
-    driven = arc_lengths(at[0], at[1])
-    decisions = decide_speed(blocks, scene, np.interp(blocks.t, t, driven))
-    graph = StGraph(
-        None, None, np.empty((0, 2)), np.column_stack([t, driven]), outlines(blocks, decisions)
-    )
-    return (graph, *({decision.agent: decision for decision in decisions}.values()))
+        trajectory = Trajectory(t, x, y, yaw, v, a, kappa)
+        return Plan(trajectory, start=start_kind, internals=Internals((), internals))

@@ -91,8 +91,10 @@ BODIES = StGraphConfig(
 AHEAD = 10  # Steps that (2) and (3) look ahead
 # Weights of (2) and (3); the weight of the input is 1
 Q_SPEED, Q_OFFSET, Q_HEADING = 10.0, 1.0, 10.0
-STOPPING_MPS, STOPPING_GAIN, ACCEL_LAG_S, STEER_LAG_S = 0.2, 0.5, 0.2, 0.05
-"""Speed up to which (2) only stops, m/s, and its gain there, 1/s; lags of (4), s."""
+STOPPING_MPS, STOPPING_GAIN = 0.2, 0.5
+"""Speed up to which (2) only stops, m/s, and its gain there, 1/s."""
+ACCEL_LAG_S, STEER_LAG_S = 0.2, 0.05
+"""Lags of (4), s."""
 
 
 @dataclass(frozen=True)
@@ -384,14 +386,9 @@ def follow_proposal(
     states, last = np.empty((6, knots)), pose.shape[1] - 1
     x, y, yaw, v, a, steer = start
     for k in range(knots):
-        states[0, k], states[1, k], states[2, k], states[3, k], states[4, k], states[5, k] = (
-            x,
-            y,
-            yaw,
-            v,
-            a,
-            tan(steer) / wheelbase,
-        )
+        states[0, k], states[1, k] = x, y
+        states[2, k], states[3, k] = yaw, v
+        states[4, k], states[5, k] = a, tan(steer) / wheelbase
         knot, then = min(k, last), min(k + AHEAD, last)
         if speed[then] <= STOPPING_MPS and v <= STOPPING_MPS:
             wanted, rate = STOPPING_GAIN * (speed[then] - v), 0.0

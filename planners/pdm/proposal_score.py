@@ -81,6 +81,11 @@ WHY_NOT = (
 )
 """The reasons why a proposal is worse, in words, in the order of `PARTS`."""
 OBJECTS = among(AgentKind.OBJECT)
+X, Y, YAW, SPEED = range(4)
+"""Rows of a proposal; a and kappa follow."""
+CENTER = 4  # The centre's place after the four corners of a box
+SEARCH_M = 30.0  # The foot point is searched this far from that of the start, m, ...
+STEP_M = 10.0  # ... and this far from that of the step before, m
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -123,25 +128,25 @@ def scores(
     `near` are the indices of the agents to consider, `weights` those of progress, ttc and comfort.
     """
     agents, reference, car = scene.frame.agents, scene.reference, scene.vehicle
-    line, body = (
-        reference.line,
-        EgoSize(car.length, car.width, car.axle_to_center, car.axle_to_front),
+    line = reference.line
+    body = EgoSize(car.length, car.width, car.axle_to_center, car.axle_to_front)
+    off, beside, against, driven = _on_road(
+        states, line.s, line.coef, reference.table, scene.s, body
     )
-    off, beside, against, way = _on_road(states, line.s, line.coef, reference.table, scene.s, body)
     drivable = (off - off[:, :1]).max(axis=1) <= OFF_M
     direction = 1.0 - 0.5 * (against > AGAINST_M[0]) - 0.5 * (against > AGAINST_M[1])
     columns = (agents.x, agents.y, agents.yaw, agents.vx, agents.vy, agents.length, agents.width)
     moving, objects = np.array([column[near] for column in columns]), OBJECTS[agents.codes[near]]
     step, hit, collision, ttc = _meetings(states, moving, objects, beside | (off > 0.0), body)
     factor = collision * direction * drivable
-    best = float((way * factor).max())
-    progress = (
-        np.maximum(way * factor, 0.0) / best if best > LEAST_WAY_M else (factor > 0.0).astype(float)
-    )
+    best = float((driven * factor).max())
+    progress = (factor > 0.0).astype(float)
+    if best > LEAST_WAY_M:
+        progress = np.maximum(driven * factor, 0.0) / best
     parts = np.vstack([collision, direction, drivable, progress, ttc, comfortable(states)])
     weighted = factor * (np.array(weights)[:, None] / sum(weights)) * parts[3:]
-    who = np.where(step < 0, -1, near[hit]) if len(near) else hit
-    return Scores(parts, weighted, np.where(step < 0, np.inf, STEP_S * step), who)
+    agent = np.where(step < 0, -1, near[hit]) if len(near) else hit
+    return Scores(parts, weighted, np.where(step < 0, np.inf, STEP_S * step), agent)
 
 
 @kernel
@@ -161,40 +166,53 @@ def _on_road(
     """
     count, steps = states.shape[0], states.shape[2]
     off, beside = np.zeros((count, steps)), np.zeros((count, steps), np.bool_)
-    against, way, at, l = np.zeros(count), np.zeros(count), np.empty(5), np.empty(5)
+    against, driven = np.zeros(count), np.zeros(count)
+    stations, l = np.empty(CENTER + 1), np.empty(CENTER + 1)  # of corners and centre
     for n in range(count):
-        guess, stretch, first, x_before, y_before = s_start + ego.center, 0.0, 0.0, 0.0, 0.0
+        s_first, s_center = 0.0, s_start + ego.center
+        x_before, y_before = 0.0, 0.0
+        stretch = 0.0
         for k in range(steps):
-            yaw = states[n, 2, k]
-            x, y = states[n, 0, k] + ego.center * cos(yaw), states[n, 1, k] + ego.center * sin(yaw)
-            at[4], l[4] = line_project(knots, coef, x, y, guess, 10.0 if k > 0 else 30.0)
-            guess = at[4]
-            _, _, yaw_r, kappa_r = line_frame(knots, coef, guess)
+            yaw = states[n, YAW, k]
+            x = states[n, X, k] + ego.center * cos(yaw)
+            y = states[n, Y, k] + ego.center * sin(yaw)
+            window = STEP_M if k > 0 else SEARCH_M
+            s_center, l_center = line_project(knots, coef, x, y, s_center, window)
+            stations[CENTER], l[CENTER] = s_center, l_center
+            _, _, yaw_r, kappa_r = line_frame(knots, coef, s_center)
             c, d = cos(yaw - yaw_r), sin(yaw - yaw_r)
-            for j in range(4):
-                ahead, left = (
-                    (0.5 if j < 2 else -0.5) * ego.length,
-                    (0.5 if j % 2 else -0.5) * ego.width,
-                )
+            for j in range(CENTER):
+                ahead = (0.5 if j < 2 else -0.5) * ego.length
+                left = (0.5 if j % 2 else -0.5) * ego.width
                 along = ahead * c - left * d
-                # (2)
-                at[j], l[j] = (
-                    guess + along,
-                    l[4] + ahead * d + left * c - 0.5 * kappa_r * along * along,
-                )
-            road = sections(knots, table, at)
-            for j in range(4):
+                stations[j] = s_center + along
+                l[j] = l_center + ahead * d + left * c - 0.5 * kappa_r * along * along  # (2)
+            road = sections(knots, table, stations)
+            for j in range(CENTER):
                 off[n, k] = max(off[n, k], l[j] - road.facing_left[j], road.facing_right[j] - l[j])
                 beside[n, k] |= l[j] > road.lane_left[j] or l[j] < road.lane_right[j]
             if k == 0:
-                first = guess
-            elif road.road_right[4] <= l[4] <= road.road_left[4]:
+                s_first = s_center
+            elif road.road_right[CENTER] <= l_center <= road.road_left[CENTER]:
                 stretch = 0.0
             else:
                 stretch += hypot(x - x_before, y - y_before)
-            against[n], x_before, y_before = max(against[n], stretch), x, y
-        way[n] = guess - first
-    return off, beside, against, way
+            against[n] = max(against[n], stretch)
+            x_before, y_before = x, y
+        driven[n] = s_center - s_first
+    return off, beside, against, driven
+
+
+class _Agent(NamedTuple):
+    """An agent at the start: pose, velocity, length and width."""
+
+    x: float
+    y: float
+    yaw: float
+    vx: float
+    vy: float
+    length: float
+    width: float
 
 
 @kernel
@@ -208,82 +226,90 @@ def _meetings(
     out of its lane.
     """
     count = len(states)
-    step, hit, collision, ttc = (
-        np.full(count, -1),
-        np.full(count, -1),
-        np.ones(count),
-        np.ones(count),
-    )
+    step, hit = np.full(count, -1), np.full(count, -1)
+    collision, ttc = np.ones(count), np.ones(count)
     for n in range(count):
         for i in range(moving.shape[1]):
-            if _meets(states[n], 0, 0, moving[:, i], ego):
+            x, y, yaw, vx, vy, length, width = moving[:, i]
+            agent = _Agent(x, y, yaw, vx, vy, length, width)
+            if _meets(states[n], 0, 0, agent, ego):
                 continue
-            k = _contact_at_fault(states[n], moving[:, i], objects[i], astray[n], ego)
+            k = _contact_at_fault(states[n], agent, objects[i], astray[n], ego)
             if k >= 0:
                 collision[n] = min(collision[n], 0.5 if objects[i] else 0.0)
                 if step[n] < 0 or k < step[n]:
                     step[n], hit[n] = k, i
-            if ttc[n] > 0.0 and _comes_close(states[n], moving[:, i], ego):
+            if ttc[n] > 0.0 and _comes_close(states[n], agent, ego):
                 ttc[n] = 0.0
     return step, hit, collision, ttc
 
 
 @inner_kernel
-def _meets(states: FloatArray, k: int, ahead: int, other: FloatArray, ego: EgoSize) -> int:
+def _meets(states: FloatArray, k: int, ahead: int, other: _Agent, ego: EgoSize) -> int:
     """Whether the ego, extrapolated from step k by `ahead` steps, touches an agent: 1; -1 if it is
     behind; else 0.
     """
-    c, s, t, way = (
-        cos(states[2, k]),
-        sin(states[2, k]),
-        STEP_S * (k + ahead),
-        STEP_S * ahead * states[3, k],
-    )
-    x, y = states[0, k] + (ego.center + way) * c, states[1, k] + (ego.center + way) * s
-    px, py = other[0] + t * other[3], other[1] + t * other[4]
-    if hypot(px - x, py - y) > 0.5 * (hypot(ego.length, ego.width) + hypot(other[5], other[6])):
+    x, y, yaw = states[X, k], states[Y, k], states[YAW, k]
+    c, s = cos(yaw), sin(yaw)
+    t, moved = STEP_S * (k + ahead), STEP_S * ahead * states[SPEED, k]
+    center_x, center_y = x + (ego.center + moved) * c, y + (ego.center + moved) * s
+    px, py = other.x + t * other.vx, other.y + t * other.vy
+    radii = 0.5 * (hypot(ego.length, ego.width) + hypot(other.length, other.width))
+    if hypot(px - center_x, py - center_y) > radii:
         return 0
-    if not overlap(x, y, states[2, k], ego.length, ego.width, px, py, other[2], other[5], other[6]):
+    if not overlap(
+        center_x,
+        center_y,
+        yaw,
+        ego.length,
+        ego.width,
+        px,
+        py,
+        other.yaw,
+        other.length,
+        other.width,
+    ):
         return 0
-    dx, dy = px - states[0, k] - way * c, py - states[1, k] - way * s
+    dx, dy = px - x - moved * c, py - y - moved * s
     return -1 if dx * c + dy * s < BEHIND * hypot(dx, dy) else 1
 
 
 @inner_kernel
 def _contact_at_fault(
-    states: FloatArray, other: FloatArray, is_object: bool, astray: BoolArray, ego: EgoSize
+    states: FloatArray, other: _Agent, is_object: bool, astray: BoolArray, ego: EgoSize
 ) -> int:
     """The step of the first contact with an agent if it is the ego's fault; else -1."""
     for k in range(1, states.shape[1]):
         met = _meets(states, k, 0, other, ego)
         if met == 0:
             continue
-        if states[3, k] <= STOPPED_MPS:
+        if states[SPEED, k] <= STOPPED_MPS:
             return -1
-        if is_object or hypot(other[3], other[4]) <= STOPPED_MPS:
+        if is_object or hypot(other.vx, other.vy) <= STOPPED_MPS:
             return k
-        yaw, t = states[2, k], STEP_S * k
-        x, y = states[0, k] + ego.front * cos(yaw), states[1, k] + ego.front * sin(yaw)
-        px, py = other[0] + t * other[3], other[1] + t * other[4]
-        front = overlap(x, y, yaw, 0.0, ego.width, px, py, other[2], other[5], other[6])
+        yaw, t = states[YAW, k], STEP_S * k
+        x, y = states[X, k] + ego.front * cos(yaw), states[Y, k] + ego.front * sin(yaw)
+        px, py = other.x + t * other.vx, other.y + t * other.vy
+        front = overlap(x, y, yaw, 0.0, ego.width, px, py, other.yaw, other.length, other.width)
         return k if met > 0 and (front or astray[k]) else -1
     return -1
 
 
 @inner_kernel
-def _comes_close(states: FloatArray, other: FloatArray, ego: EgoSize) -> bool:
+def _comes_close(states: FloatArray, other: _Agent, ego: EgoSize) -> bool:
     """Whether the first contact that `ttc` finds is with an agent that is not behind."""
     for k in range(states.shape[1]):
         for ahead in CARRIED:
-            met = _meets(states, k, ahead, other, ego) if states[3, k] >= 0.1 * STOPPED_MPS else 0
-            if met != 0:
-                return met > 0
+            if states[SPEED, k] >= 0.1 * STOPPED_MPS:
+                met = _meets(states, k, ahead, other, ego)
+                if met != 0:
+                    return met > 0
     return False
 
 
 def comfortable(states: FloatArray) -> BoolArray:
     """Whether each of the proposals `(n, 6, k)` is within the `BOUNDS`, `(n,)`."""
-    yaw, v, a, kappa = (states[:, i] for i in (2, 3, 4, 5))
+    _, _, yaw, v, a, kappa = states.transpose(1, 0, 2)
     smooth, slope, whole, rate, bend = _filters(states.shape[2])
     aside = v * v * kappa
     size = np.hypot(a, aside)
@@ -295,10 +321,11 @@ def comfortable(states: FloatArray) -> BoolArray:
         yaw @ bend,
         yaw @ rate,
     )
-    kept = [
-        ((x > low) & (x < high)).all(axis=1) for x, (low, high) in zip(signals, BOUNDS, strict=True)
+    within = [
+        ((signal > low) & (signal < high)).all(axis=1)
+        for signal, (low, high) in zip(signals, BOUNDS, strict=True)
     ]
-    return np.all(kept, axis=0)
+    return np.all(within, axis=0)
 
 
 @cache
@@ -311,10 +338,10 @@ def _filters(k: int) -> tuple[FloatArray, ...]:
     # Imported here: it takes longer to import than all planners
     from scipy.signal import savgol_filter
 
-    made = ((8, 2, 0), (k, 2, 1), (k, 2, 0), (5, 2, 1), (5, 3, 2))
+    filters = ((8, 2, 0), (k, 2, 1), (k, 2, 0), (5, 2, 1), (5, 3, 2))
     return tuple(
         frozen(
             savgol_filter(np.eye(k), min(window, k), degree, deriv=derivative, delta=STEP_S, axis=1)
         )
-        for window, degree, derivative in made
+        for window, degree, derivative in filters
     )

@@ -71,7 +71,7 @@ from replan.planners.piecewise_jerk.problem import (
 )
 
 # Status codes; `STATUS` has them in words
-SOLVED, SPENT, INFEASIBLE, BROKEN, CROSSED, NOT_FINITE = 1, 2, 3, 4, 5, 6
+SOLVED, SPENT, INFEASIBLE, BROKEN, CROSSED, NOT_FINITE = range(1, 7)
 STATUS = {
     SOLVED: "solved",
     SPENT: "iterations spent",
@@ -164,7 +164,9 @@ def solve(problem: PiecewiseJerkProblem, accuracy: float, max_iterations: int) -
     )
     coast(problem, point.c)
     apply(rows.stencil, point.c, point.y)
-    status, iteration, primal, dual, gap = _fault(problem), 0, np.nan, np.nan, np.nan
+    status, iteration = _fault(problem), 0
+    primal, dual = np.nan, np.nan
+    gap = np.nan
     if status == SPENT and max_iterations > 0:
         iteration = 1
         free = _to_free_optimum(rows, point, newton, step)
@@ -294,15 +296,17 @@ def _residuals(rows: Rows, point: Point, newton: Newton) -> tuple[float, float, 
 
     Return the largest of (5), of (4), and the sum of the products.
     """
-    y, force, slack, multiplier = point.y, point.force, point.slack, point.multiplier
-    give, bound, primal, product = rows.give, rows.bound, newton.primal, newton.product
+    y, force = point.y, point.force
+    slack, multiplier = point.slack, point.multiplier
+    give, bound = rows.give, rows.bound
+    primal, product = newton.primal, newton.product
     size = len(y)
     for i in range(size):
         force[i] = multiplier[0, i] - multiplier[1, i]
     for i in range(size):
-        at = y[i] + give[i] * force[i]
-        primal[0, i] = (at - bound[0, i]) - slack[0, i]  # (5)
-        primal[1, i] = -(at - bound[1, i]) - slack[1, i]
+        value = y[i] + give[i] * force[i]
+        primal[0, i] = (value - bound[0, i]) - slack[0, i]  # (5)
+        primal[1, i] = -(value - bound[1, i]) - slack[1, i]
     for side in range(2):
         for i in range(size):
             product[side, i] = slack[side, i] * multiplier[side, i]  # (6)
@@ -331,7 +335,8 @@ def _verdict(
     if primal <= small:
         # (10)
         return SOLVED if gap <= 0.5 * accuracy**2 and dual <= small * (1.0 + left) else SPENT
-    force, multiplier, give, bound = point.force, point.multiplier, rows.give, rows.bound
+    force, multiplier = point.force, point.multiplier
+    give, bound = rows.give, rows.bound
     excess, size = 0.0, len(force)
     for i in range(size):
         excess += bound[0, i] * multiplier[0, i] - bound[1, i] * multiplier[1, i]
@@ -403,7 +408,7 @@ def _step_lengths(
     `share`; 1 at most.
     """
     slack, multiplier, inverse = step.slack, step.multiplier, newton.inverse
-    below, above, pull, push = 0.5, 0.5, 0.5, 0.5  # four independent chains of operations
+    below = above = pull = push = 0.5  # four independent chains of operations
     for i in range(slack.shape[1]):
         below = max(below, -slack[0, i] * inverse[0, i])
         above = max(above, -slack[1, i] * inverse[1, i])

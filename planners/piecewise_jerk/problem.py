@@ -48,13 +48,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from replan.core.arrays import FloatArray
+from replan.core.arrays import FloatArray, frozen
 from replan.core.kernel import inner_kernel, kernel
 
-X, DX, DDX, DDDX, LEADS = 0, 1, 2, 3, 4  # Rows of the bounds; rows x + lead x' from `LEADS` on
+X, DX, DDX, DDDX, LEADS = range(5)  # Rows of the bounds; rows x + lead x' from `LEADS` on
 # Bounds less than twice this apart are moved to twice this apart: the method needs an interior
 NARROW_M = 1e-6
 FAR_M = 1e6  # Scaled bounds are clipped to +- this, m
+STENCIL = frozen(
+    [
+        (0.0, 1.0 / 6.0, 4.0 / 6.0, 1.0 / 6.0),
+        (0.0, -0.5, 0.0, 0.5),
+        (0.0, 1.0, -2.0, 1.0),
+        (-1.0, 3.0, -3.0, 1.0),
+    ]
+)
+"""The rows (7) of x, x', x'' and x''', scaled, on four coefficients of the spline."""
 ROUNDING, HUGE = 1e-15, 1e128
 """Pivots that are less than this share of their diagonal are rounding errors.
 
@@ -147,11 +156,8 @@ def rows_of(problem: PiecewiseJerkProblem) -> Rows:
     kinds, n = problem.lower.shape
     h, m = problem.step, n - 1
     stencil, scale, curvature = np.zeros((kinds, 4)), np.ones(kinds), np.zeros(kinds)
-    stencil[0, 1], stencil[0, 2], stencil[0, 3] = 1.0 / 6.0, 4.0 / 6.0, 1.0 / 6.0  # (7)
-    stencil[1, 1], stencil[1, 3] = -0.5, 0.5
-    stencil[2, 1], stencil[2, 2], stencil[2, 3] = 1.0, -2.0, 1.0
-    stencil[3, 0], stencil[3, 1], stencil[3, 2], stencil[3, 3] = -1.0, 3.0, -3.0, 1.0
-    scale[1], scale[2], scale[3] = h, h * h, h * h * h
+    stencil[: len(STENCIL)] = STENCIL  # (7)
+    scale[DX], scale[DDX], scale[DDDX] = h, h * h, h * h * h
     for k in range(4):
         curvature[k] = 2.0 * problem.weights[k] / scale[k] ** 2
     for k in range(4, kinds):
@@ -159,7 +165,7 @@ def rows_of(problem: PiecewiseJerkProblem) -> Rows:
             stencil[k, i] = stencil[0, i] + problem.leads[k - 4] / h * stencil[1, i]
     # curvature of the cost in x: |x_j|^2 <= m^(2k-1) sum_i |scaled row i of kind k|^2, by Cauchy
     # and Schwarz
-    unit = max(curvature[0], curvature[1] / m, curvature[2] / m**3, curvature[3] / m**5)
+    unit = max(curvature[X], curvature[DX] / m, curvature[DDX] / m**3, curvature[DDDX] / m**5)
     cost, wanted, give = np.zeros(kinds * m), np.zeros(kinds * m), np.zeros(kinds * m)
     bound = np.empty((2, kinds * m))
     for k in range(kinds):
@@ -198,7 +204,8 @@ def apply(stencil: FloatArray, c: FloatArray, out: FloatArray) -> None:
     """Write A c."""
     m = len(c) - 3
     for k in range(len(stencil)):
-        a0, a1, a2, a3 = stencil[k, 0], stencil[k, 1], stencil[k, 2], stencil[k, 3]
+        a0, a1 = stencil[k, 0], stencil[k, 1]
+        a2, a3 = stencil[k, 2], stencil[k, 3]
         row = out[k * m : (k + 1) * m]
         for j in range(m):
             row[j] = a0 * c[j] + a1 * c[j + 1] + a2 * c[j + 2] + a3 * c[j + 3]

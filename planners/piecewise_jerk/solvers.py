@@ -78,12 +78,17 @@ def record_problems() -> Iterator[list[SolvedProblem]]:
 
 
 def _interior_point(problem: PiecewiseJerkProblem, stage: str, tolerance: float) -> QPResult:
-    found = interior_point.solve(problem, interior_point.ACCURACY_M, interior_point.MAX_ITERATIONS)
-    solved, status = found.status == interior_point.SOLVED, interior_point.STATUS[found.status]
-    if solved and not found.violation <= tolerance:
-        solved, status = False, f"{status}, but a bound is violated by {found.violation:.3g}"
-    report = SolverReport(stage, solved, status, found.iterations, found.primal, found.dual)
-    return QPResult(found.curve.ravel(), report)
+    solution = interior_point.solve(
+        problem, interior_point.ACCURACY_M, interior_point.MAX_ITERATIONS
+    )
+    solved = solution.status == interior_point.SOLVED
+    status = interior_point.STATUS[solution.status]
+    if solved and not solution.violation <= tolerance:
+        solved, status = False, f"{status}, but a bound is violated by {solution.violation:.3g}"
+    report = SolverReport(
+        stage, solved, status, solution.iterations, solution.primal, solution.dual
+    )
+    return QPResult(solution.curve.ravel(), report)
 
 
 def _sparse(

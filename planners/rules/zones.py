@@ -363,12 +363,8 @@ def _walking(zone: Zone, walk: Walk, line: ReferenceLine, frame: Frame) -> Itera
     """Windows of the pedestrians who are on a crosswalk, or near it and do not walk along or away
     from it.
     """
-    futures, agents, polygon, ahead = (
-        frame.predictions,
-        frame.agents,
-        walk.crosswalk.polygon,
-        frame.predictions.t - frame.t,
-    )
+    futures, agents = frame.predictions, frame.agents
+    polygon, ahead = walk.crosswalk.polygon, frame.predictions.t - frame.t
     low, high = polygon.min(axis=0) - EDGE_M, polygon.max(axis=0) + EDGE_M
     near = (agents.x > low[0]) & (agents.x < high[0]) & (agents.y > low[1]) & (agents.y < high[1])
     edge = np.vstack([polygon, polygon[:1]])

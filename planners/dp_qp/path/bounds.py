@@ -137,7 +137,8 @@ def standing_obstacles(
     """
     if not scene.standing.any():
         return ()
-    ids, line, ego, road = scene.frame.agents.ids, scene.reference.line, scene.frame.ego, scene.road
+    ids, line = scene.frame.agents.ids, scene.reference.line
+    ego, road = scene.frame.ego, scene.road
     left, right = (
         (road.facing_left, road.facing_right) if facing else (road.road_left, road.road_right)
     )
@@ -180,17 +181,20 @@ def _standing_boxes(
         if not standing[i] or hypot(x[i] - near[0], y[i] - near[1]) >= near[2]:
             continue
         outline = corners(x[i], y[i], bodies.yaw[i], length[i], bodies.width[i])
-        box, guess = boxes[count], s[i]
-        box[0], box[1], box[2], box[3] = np.inf, -np.inf, np.inf, -np.inf
+        guess = s[i]
+        s_from, s_to = np.inf, -np.inf
+        l_from, l_to = np.inf, -np.inf
         for k in range(8):
             px, py = outline[k % 4, 0], outline[k % 4, 1]
             if k >= 4:
                 px, py = 0.5 * (px + outline[(k - 5) % 4, 0]), 0.5 * (py + outline[(k - 5) % 4, 1])
             guess, l = line_project(knots, coef, px, py, guess, 10.0 + length[i])
-            box[0], box[1] = min(box[0], guess), max(box[1], guess)
-            box[2], box[3] = min(box[2], l), max(box[3], l)
-        if box[2] < left[i] + NEAR_ROAD_M and box[3] > right[i] - NEAR_ROAD_M:
+            s_from, s_to = min(s_from, guess), max(s_to, guess)
+            l_from, l_to = min(l_from, l), max(l_to, l)
+        if l_from < left[i] + NEAR_ROAD_M and l_to > right[i] - NEAR_ROAD_M:
             rows[count] = i
+            boxes[count, 0], boxes[count, 1] = s_from, s_to
+            boxes[count, 2], boxes[count, 3] = l_from, l_to
             count += 1
     return rows[:count].copy(), boxes[:count].copy()
 

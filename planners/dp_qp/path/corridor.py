@@ -52,7 +52,7 @@ KNOT, LIMIT, KAPPA = 0, 1, 2
 
 Speed limit, m/s; curvature of the reference line, 1/m.
 """
-S, SWING, LOWER, UPPER, LEAST, MOST = 0, 1, 2, 3, 4, 5
+S, SWING, LOWER, UPPER, LEAST, MOST = range(6)
 """Rows of `RoadAhead.points`: stations, m; how far the points swing out (9), m; bounds (1) to (4)
 of their offsets, m; the same without (3), m."""
 MAX_DL = 1.0  # Bound of l': 45 degrees off the reference line
@@ -263,7 +263,7 @@ def _widen_bounds(s: FloatArray, lower: FloatArray, upper: FloatArray, start: Fl
     """Apply (4) in place to bounds `(points, n)` at stations of that shape, for a start as in
     `EgoInLane`.
     """
-    l0, dl0, ddl0, speed = start[1], start[2], start[3], start[4]
+    _, l0, dl0, ddl0, speed = start
     ahead = l0 + dl0 * min(5.0, 0.5 * speed)
     if lower[0, 0] <= l0 <= upper[0, 0] and lower[0, 0] <= ahead <= upper[0, 0]:
         return
@@ -500,13 +500,10 @@ def steering_bounds(
         limits: `COMFORT` or `HARD`.
     """
     n = len(limit)
-    v = expected_speed(start[3], limit, kappa, step, limits[2], limits[1], car[2])
-    bounds, aims, rates, share = (
-        np.empty((2, n)),
-        np.empty((2, n)),
-        np.empty((2, n - 1)),
-        np.empty((2, n - 1)),
-    )
+    _, _, _, speed = start
+    v = expected_speed(speed, limit, kappa, step, limits[2], limits[1], car[2])
+    bounds, aims = np.empty((2, n)), np.empty((2, n))
+    rates, share = np.empty((2, n - 1)), np.empty((2, n - 1))
     quickest = np.inf
     for i in range(n):
         fast = max(v[i], SLOWEST_MPS)
@@ -519,10 +516,8 @@ def steering_bounds(
             rate, turning = min(before, quickest), (kappa[i] - kappa[i - 1]) / step  # (7)
             rates[0, i - 1], rates[1, i - 1] = -rate - turning, rate - turning
             share[0, i - 1], share[1, i - 1] = -SHARE * rate - turning, SHARE * rate - turning
-    left, right = (
-        _reach(start, aims[1], share[0], share[1], step),
-        _reach(start, aims[0], share[0], share[1], step),
-    )
+    left = _reach(start, aims[1], share[0], share[1], step)
+    right = _reach(start, aims[0], share[0], share[1], step)
     for i in range(n):
         bounds[0, i], bounds[1, i] = min(bounds[0, i], left[2, i]), max(bounds[1, i], right[2, i])
     return bounds, rates, left, right

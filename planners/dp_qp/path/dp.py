@@ -119,7 +119,7 @@ class SlGrid:
 
     def offsets(self, s: FloatArray) -> FloatArray:
         """The DP path's l at stations `(n,)`, m."""
-        return np.array([self.offset(float(at)) for at in s])
+        return np.array([self.offset(float(station)) for station in s])
 
 
 def solve_path_dp(
@@ -147,27 +147,36 @@ def solve_path_dp(
     return SlGrid(stations, rows, start, cost, chosen, sides)
 
 
-@inner_kernel
-def _edge(
-    s0: float,
-    l0: float,
-    dl0: float,
-    ddl0: float,
-    s1: float,
-    l1: float,
-    boxes: FloatArray,
-    lower: FloatArray,
-    upper: FloatArray,
-    column: int,
-    weights: PathDpWeights,
-    best: float,
-) -> float:
-    """Cost (2) of an edge; it stops once this exceeds `best`.
+class _Node(NamedTuple):
+    """A point of a path: station, offset, m, and the offset's derivatives by the station."""
 
-    Corridor bounds `(columns, SAMPLES)` at the samples.
+    s: float
+    l: float
+    dl: float
+    ddl: float
+
+
+class _Corridor(NamedTuple):
+    """What an edge costs: obstacles `(b, 5)` and bounds `(columns, SAMPLES)` as in `path_dp`,
+    weights.
     """
-    length = s1 - s0
-    c3, c4, c5 = quintic(l0, dl0, ddl0, l1, length)
+
+    boxes: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    weights: PathDpWeights
+
+
+@inner_kernel
+def _edge(begin: _Node, s: float, l: float, corridor: _Corridor, column: int, best: float) -> float:
+    """Cost (2) of the edge from a node into a column, at (s, l); it stops once this exceeds
+    `best`.
+    """
+    boxes, weights = corridor.boxes, corridor.weights
+    lower, upper = corridor.lower[column], corridor.upper[column]
+    s0, l0, dl0, ddl0 = begin
+    length = s - s0
+    c3, c4, c5 = quintic(l0, dl0, ddl0, l, length)
     step = length / SAMPLES
     total = 0.0
     for i in range(SAMPLES):
@@ -179,7 +188,7 @@ def _edge(
         cost = (
             weights.ref * offset * offset + weights.dl * slope * slope + weights.ddl * bend * bend
         )
-        outside = max(lower[column, i] - offset, offset - upper[column, i], 0.0)
+        outside = max(lower[i] - offset, offset - upper[i], 0.0)
         if outside > 0.0:
             cost += OUTSIDE * (0.1 + outside)
         for b in range(len(boxes)):
@@ -223,56 +232,26 @@ def path_dp(
         Cost to come `(n, k)`, and the chosen row per column `(n,)`.
     """
     n, k = len(stations), len(offsets)
+    corridor = _Corridor(boxes, lower, upper, weights)
+    s0, l0, dl0, ddl0 = start
+    begin = _Node(s0, l0, dl0, ddl0)
     cost = np.full((n, k), np.inf)
     parent = np.zeros((n, k), np.int64)
     for row in range(k):
-        cost[0, row] = _edge(
-            start[0],
-            start[1],
-            start[2],
-            start[3],
-            stations[0],
-            offsets[row],
-            boxes,
-            lower,
-            upper,
-            0,
-            weights,
-            np.inf,
-        )
+        cost[0, row] = _edge(begin, stations[0], offsets[row], corridor, 0, np.inf)
     for i in range(1, n):
         for row in range(k):
+            node = _Node(stations[i - 1], offsets[row], 0.0, 0.0)
             straight = cost[i - 1, row] + _edge(
-                stations[i - 1],
-                offsets[row],
-                0.0,
-                0.0,
-                stations[i],
-                offsets[row],
-                boxes,
-                lower,
-                upper,
-                i,
-                weights,
-                np.inf,
+                node, stations[i], offsets[row], corridor, i, np.inf
             )
             for before in range(k):
                 most = min(cost[i, row], straight + BESIDES)
                 if cost[i - 1, before] >= most:
                     continue
+                node = _Node(stations[i - 1], offsets[before], 0.0, 0.0)
                 total = cost[i - 1, before] + _edge(
-                    stations[i - 1],
-                    offsets[before],
-                    0.0,
-                    0.0,
-                    stations[i],
-                    offsets[row],
-                    boxes,
-                    lower,
-                    upper,
-                    i,
-                    weights,
-                    most - cost[i - 1, before],
+                    node, stations[i], offsets[row], corridor, i, most - cost[i - 1, before]
                 )
                 if total < min(cost[i, row] - TIE, straight + BESIDES):
                     cost[i, row], parent[i, row] = total, before  # (4)
@@ -297,28 +276,18 @@ def path_dp_to_go(
     Arguments as in `path_dp`.
     """
     n, k = len(stations), len(offsets)
+    corridor = _Corridor(boxes, lower, upper, weights)
     cost = np.zeros((n, k))
     for i in range(n - 1, 0, -1):
         for row in range(k):
+            node = _Node(stations[i - 1], offsets[row], 0.0, 0.0)
             best = np.inf
             # Straight on first: it is near the best, so that the other edges stop early
             for turn in range(k):
                 after = row if turn == 0 else turn - (turn <= row)
                 if cost[i, after] < best:
-                    edge = _edge(
-                        stations[i - 1],
-                        offsets[row],
-                        0.0,
-                        0.0,
-                        stations[i],
-                        offsets[after],
-                        boxes,
-                        lower,
-                        upper,
-                        i,
-                        weights,
-                        best - cost[i, after],
-                    )
+                    rest = best - cost[i, after]
+                    edge = _edge(node, stations[i], offsets[after], corridor, i, rest)
                     best = min(best, cost[i, after] + edge)  # (4)
             cost[i - 1, row] = best
     return cost
@@ -334,14 +303,14 @@ def side_costs(
     `through` `(n, k)` is the least cost of a path through each node; inf where no row is on that
     side.
     """
-    out = np.full((len(boxes), 2), np.inf)
+    costs = np.full((len(boxes), 2), np.inf)
     for b in range(len(boxes)):
         away = np.abs(stations - 0.5 * (boxes[b, 0] + boxes[b, 1]))
         i = int(np.argmax(away <= away.min() + TIE))
         for row in range(len(offsets)):
             side = 0 if 2.0 * offsets[row] > boxes[b, 2] + boxes[b, 3] else 1
-            out[b, side] = min(out[b, side], through[i, row])
-    return out
+            costs[b, side] = min(costs[b, side], through[i, row])
+    return costs
 
 
 @kernel
@@ -349,7 +318,7 @@ def path_dp_offset(
     stations: FloatArray, offsets: FloatArray, chosen: IntArray, start: FloatArray, s: float
 ) -> float:
     """The DP path's l at station `s` (1); beyond the grid it stays at its last row."""
-    s0, l0, dl0, ddl0 = start[0], start[1], start[2], start[3]
+    s0, l0, dl0, ddl0 = start
     if s <= s0:
         return l0
     for i in range(len(stations)):
@@ -358,5 +327,6 @@ def path_dp_offset(
             c3, c4, c5 = quintic(l0, dl0, ddl0, l1, stations[i] - s0)
             d = s - s0
             return l0 + d * (dl0 + d * (0.5 * ddl0 + d * (c3 + d * (c4 + d * c5))))
-        s0, l0, dl0, ddl0 = stations[i], l1, 0.0, 0.0
+        s0, l0 = stations[i], l1
+        dl0, ddl0 = 0.0, 0.0
     return l0

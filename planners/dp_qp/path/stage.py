@@ -120,7 +120,7 @@ class _Task:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class _Found:
+class _Solution:
     """The solution of the path QP: `offsets` l, l', l'' `(3, knots)`, None if it failed, of the
     solver's `x`.
 
@@ -151,7 +151,8 @@ class PathStage:
         solver: str = DEFAULT,
     ) -> None:
         car = self._vehicle = context.vehicle
-        self._config, self._goal, self._solver, self._lap = config, goal, solver, context.lap
+        self._config, self._goal = config, goal
+        self._solver, self._lap = solver, context.lap
         self._horizon = horizon
         self._rows = config.dp.offsets(passes_left=context.road.drives_on_right)
         self._programs: dict[float, PathQp] = {}
@@ -242,12 +243,12 @@ class PathStage:
             near,
         )
         space = PathBounds(road.points[S], road.points[LOWER], road.points[UPPER])
-        problem = program.stated(start[1:4], road.references, road.rows)
+        problem = program.stated(np.array(scene.frenet), road.references, road.rows)
         return _Task(program, ego, road, space, problem), in_the_way, standing
 
     def _solve_within_bounds(
         self, task: _Task, obstacles: tuple[Occupancy, ...], decisions: tuple[Decision, ...]
-    ) -> _Found:
+    ) -> _Solution:
         """The path in the bounds, else as little outside as possible.
 
         Then without the agents that it cannot clear.
@@ -263,7 +264,7 @@ class PathStage:
                 result, problem, more = self._softly(task, narrow, problem)
                 reports = (*reports, *more)
             if not result.report.solved:
-                return _Found(None, result.x, decisions, narrow, problem, reports, {})
+                return _Solution(None, result.x, decisions, narrow, problem, reports, {})
             offsets = result.x.reshape(3, -1)
             final, rooms = decisions, dict[str, float]()
             if obstacles:
@@ -272,7 +273,7 @@ class PathStage:
                     PathBounds(narrow.s, swung, swung), obstacles, decisions, car, config
                 )
             if in_bounds or final == decisions:
-                return _Found(offsets, result.x, final, narrow, problem, reports, rooms)
+                return _Solution(offsets, result.x, final, narrow, problem, reports, rooms)
             decisions = final
 
     def _softly(
@@ -314,7 +315,7 @@ class PathStage:
             program.step,
             program.middle,
         )
-        return program.stated(task.ego.start[1:4], *asked)
+        return program.stated(task.problem.start, *asked)
 
     def _in_the_way(
         self, scene: Scene, length: float, standing: Mapping[str, float]
@@ -395,7 +396,7 @@ class PathStage:
         return grid, tuple(decisions)
 
     def _graph(
-        self, road: RoadAhead, in_the_way: InTheWay, grid: SlGrid | None, solution: _Found
+        self, road: RoadAhead, in_the_way: InTheWay, grid: SlGrid | None, solution: _Solution
     ) -> SlGraph:
         """The S-L graph, with the DP where it ran.
 

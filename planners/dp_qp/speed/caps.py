@@ -220,7 +220,8 @@ def passing_caps(view: PathView) -> tuple[SpeedCap, ...]:
     An agent along the lane that is nearer to the path than the margin has no cap: the ego follows
     it, by the S-T graph.
     """
-    scene, path, agents, caps = view.scene, view.path, view.scene.frame.agents, []
+    scene, path = view.scene, view.path
+    agents, caps = view.scene.frame.agents, []
     for name, d in view.task.passed.items():
         if d < ROOM_M:
             i = agents.ids.index(name)
@@ -293,7 +294,8 @@ def hesitation_caps(view: PathView) -> tuple[SpeedCap, ...]:
     """
     if not view.came:
         return ()
-    scene, path, agents, caps = view.scene, view.path, view.scene.frame.agents, []
+    scene, path = view.scene, view.path
+    agents, caps = view.scene.frame.agents, []
     taking = set(view.taken.agent.tolist())
     for i, name in enumerate(agents.ids):
         if name not in view.came or i in taking or scene.speed[i] >= TOWARDS_MPS:

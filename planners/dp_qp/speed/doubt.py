@@ -111,13 +111,9 @@ def _weights(
     `ego`: front and width, m.
     """
     weights, last = np.empty((2, len(agent))), inf
-    age, unseen, walks, length, width = (
-        seen.age,
-        seen.unseen,
-        seen.walks,
-        bodies.length,
-        bodies.width,
-    )
+    age, unseen = seen.age, seen.unseen
+    walks, length = seen.walks, bodies.length
+    width = bodies.width
     for since in unseen:
         last = min(last, inf if isnan(since) else since)
     for i in range(len(agent)):

@@ -107,7 +107,7 @@ def cost_map(
     """The map (2) `(k, rows)` of blocked intervals `(n, k)`; `wanted` = (standstill gap, time
     gap).
     """
-    out = np.zeros((lower.shape[1], rows))
+    cost = np.zeros((lower.shape[1], rows))
     for i in range(len(lower)):
         space = wanted[0] + wanted[1] * max(speed[i], 0.0)
         for k in range(lower.shape[1]):
@@ -118,12 +118,12 @@ def cost_map(
             for row in range(first, last + 1):
                 s = row * DS_M
                 if low - gap + TIE < s < high + gap - TIE:
-                    out[k, row] += COLLISION  # (2)
+                    cost[k, row] += COLLISION  # (2)
                 else:
                     free = low - s if s <= low else s - high
                     if free < space:
-                        out[k, row] += w_near * (1.0 - free / space) ** 2  # (2)
-    return out
+                        cost[k, row] += w_near * (1.0 - free / space) ** 2  # (2)
+    return cost
 
 
 @inner_kernel
@@ -147,20 +147,20 @@ def occupied_rows(
     """First and last row where the map (2) is not 0 during the edge to each next column
     `(columns, 2)`.
     """
-    found = np.empty((columns, 2), np.int64)
+    occupied = np.empty((columns, 2), np.int64)
     for column in range(columns):
-        found[column, 0], found[column, 1] = rows, -1
+        occupied[column, 0], occupied[column, 1] = rows, -1
         for n in range(column * per_column + 1, (column + 1) * per_column + 1):
             k = min(n, lower.shape[1] - 1)
             for i in range(len(lower)):
                 if not np.isnan(lower[i, k]):
                     space = wanted[0] + wanted[1] * max(speed[i], 0.0)
                     first, last = _within_reach(lower[i, k], upper[i, k], space, rows)
-                    found[column, 0], found[column, 1] = (
-                        min(found[column, 0], first),
-                        max(found[column, 1], last),
+                    occupied[column, 0], occupied[column, 1] = (
+                        min(occupied[column, 0], first),
+                        max(occupied[column, 1], last),
                     )
-    return found
+    return occupied
 
 
 @kernel

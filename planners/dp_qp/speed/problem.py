@@ -118,7 +118,8 @@ def build_problem(
     `is_drawn`: whether the speed DP also runs where it decides nothing, with all of its costs.
     """
     sigma, kappa, ease = path.sigma, path.kappa, settings.ease
-    lower, upper, stops, n = taken.lower, taken.upper, taken.stops, len(taken.pace)
+    lower, upper = taken.lower, taken.upper
+    stops, n = taken.stops, len(taken.pace)
     # Station of the first standing agent; whether all are there at t = 0
     first, moves, waits = inf, False, True
     for i in range(n):
@@ -206,7 +207,9 @@ def _search(
     worth: float,
 ) -> tuple[FloatArray, IntArray]:
     """Cost of the speed DP's grid, and its solution; stops have no gap beyond their own."""
-    t, lower, upper, speed, stops = taken.t, taken.lower, taken.upper, taken.speed, taken.stops
+    t, lower = taken.t, taken.lower
+    upper, speed = taken.upper, taken.speed
+    stops = taken.stops
     rows = int(sigma[-1] / DS_M + 1e-6) + 1
     limit = _resample(DS_M, rows, sigma, v_limit)
     wanted, columns = (settings.standstill_gap, time_gap), settings.columns
@@ -265,7 +268,8 @@ def _station_bounds(
 
     Of two samples equally near to a knot it takes the stricter one.
     """
-    t, lower, upper, stops = taken.t, taken.lower, taken.upper, taken.stops
+    t, lower = taken.t, taken.lower
+    upper, stops = taken.upper, taken.stops
     low, high = np.zeros(settings.knots), np.full(settings.knots, length)
     reach = (0.5 * (t[1] - t[0]) if len(t) > 1 else inf) + 1e-9
     for knot in range(settings.knots):

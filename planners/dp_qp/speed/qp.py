@@ -182,18 +182,18 @@ def rows_of(problem: SpeedProblem, limits: KnotLimits, comfort: float) -> Rows:
 
 @kernel
 def ease_problem(
-    problem: SpeedProblem, limits: KnotLimits, share: float, given: float, comfort: float
+    problem: SpeedProblem, limits: KnotLimits, share: float, less_gap: float, comfort: float
 ) -> tuple[bool, SpeedProblem, Rows]:
     """Whether braking with a share of the limits keeps the bounds, and the QP for it.
 
-    The gap may shrink by `given` m, but not beyond the path's end. The start's deceleration is
+    The gap may shrink by `less_gap` m, but not beyond the path's end. The start's deceleration is
     reduced until the jerk can release it before the ego would reverse; the bounds contain the
     braking profile.
     """
     v0 = problem.start[0]
     a0 = max(problem.start[1], -sqrt(2.0 * 0.9 * limits.jerk * v0))
     stop = braking(v0, a0, share * limits.decel, share * limits.jerk, STEP_S, len(problem.upper))
-    upper = np.minimum(problem.upper + given, problem.end)
+    upper = np.minimum(problem.upper + less_gap, problem.end)
     lower = np.minimum(problem.lower, np.maximum(problem.s_ref, stop[0]))
     limit = np.maximum(problem.limit, stop[1] + LIMIT_ROOM_MPS)
     loosened = SpeedProblem(
@@ -262,15 +262,15 @@ class SolvedSpeed:
 
 
 class Rung(NamedTuple):
-    """A rung: braking with a share of limits keeps the bounds, with the gap reduced by `given`, m;
-    the QP smooths it.
+    """A rung: braking with a share of limits keeps the bounds, with the gap reduced by `less_gap`,
+    m; the QP smooths it.
 
     `after_full`: whether it may follow full braking, which continues until the whole gap is kept.
     """
 
     limits: SpeedLimits
     share: float
-    given: float = 0.0
+    less_gap: float = 0.0
     reason: str = ""
     after_full: bool = True
 
@@ -322,7 +322,7 @@ class BrakingLadder:
                 continue
             comfort = self._config.comfort.decel_mps2
             fits, posed, rows = ease_problem(
-                problem, rung.limits.columns, rung.share, rung.given, comfort
+                problem, rung.limits.columns, rung.share, rung.less_gap, comfort
             )
             if fits:
                 result = self.program.solve(rows)

@@ -126,7 +126,7 @@ class ChosenSpeed:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class _Way:
+class _OnPath:
     """The input of a plan: the scene on its path, the limits there and decisions of the caps, the
     stops, the memory.
 
@@ -215,8 +215,8 @@ class SpeedStage:
         stops = (
             np.array([(stop.s_from, stop.until) for stop in task.stops]) if task.stops else NO_STOPS
         )
-        task_on_path = _Way(view, limits, limit.decisions, stops, taken, memory)
-        planned, unlikely = self._plan_with_doubt(task_on_path, boundaries)
+        on_path = _OnPath(view, limits, limit.decisions, stops, taken, memory)
+        planned, unlikely = self._plan_with_doubt(on_path, boundaries)
         solved = planned.solved
         chosen = ChosenSpeed(
             solved.profile,
@@ -224,7 +224,7 @@ class SpeedStage:
             solved.unavoidable,
             planned.built.free_m,
             solved.reports,
-            lambda: self._artefacts(task_on_path, planned, unlikely),
+            lambda: self._artefacts(on_path, planned, unlikely),
         )
         waits = frozenset(
             scene.frame.agents.ids[agent]
@@ -233,7 +233,7 @@ class SpeedStage:
         return chosen, SpeedMemory(solved.is_full, reached_at, waits)
 
     def _plan_with_doubt(
-        self, on_path: _Way, boundaries: StBoundaries
+        self, on_path: _OnPath, boundaries: StBoundaries
     ) -> tuple[_Planned, StBoundaries]:
         """The speed that keeps the rows as far as they bind (`doubt`), and the rows that do not
         bind.
@@ -281,7 +281,7 @@ class SpeedStage:
         return planned, replace(boundaries, probability=p).only(~binds)
 
     def _plan_within(
-        self, on_path: _Way, blocks: StBoundaries, sure: IntArray | None = None
+        self, on_path: _OnPath, blocks: StBoundaries, sure: IntArray | None = None
     ) -> _Planned:
         """The speed that keeps these boundaries; those of the agents `sure` (None: all) with other
         margins, too.
@@ -303,7 +303,7 @@ class SpeedStage:
                 planned = self._yield_to_late(on_path, free, np.zeros(n))
         return planned
 
-    def _yield_to_late(self, on_path: _Way, planned: _Planned, spare: FloatArray) -> _Planned:
+    def _yield_to_late(self, on_path: _OnPath, planned: _Planned, spare: FloatArray) -> _Planned:
         """The speed that yields to each agent that it overtakes but would not stay clear of `spare`
         s `(n,)` later.
 
@@ -329,7 +329,7 @@ class SpeedStage:
 
     def _plan(
         self,
-        on_path: _Way,
+        on_path: _OnPath,
         blocks: StBoundaries,
         sure: IntArray,
         may_overtake: BoolArray,
@@ -347,7 +347,7 @@ class SpeedStage:
 
     def _build(
         self,
-        on_path: _Way,
+        on_path: _OnPath,
         blocks: StBoundaries,
         may_overtake: BoolArray,
         *,
@@ -365,7 +365,7 @@ class SpeedStage:
         )
 
     def _artefacts(
-        self, on_path: _Way, planned: _Planned, unlikely: StBoundaries
+        self, on_path: _OnPath, planned: _Planned, unlikely: StBoundaries
     ) -> tuple[Artefact, ...]:
         """Graph (with the DP where it ran), decisions, costs and reports."""
         scene, path, stops = on_path.view.scene, on_path.view.path, on_path.view.task.stops
@@ -421,7 +421,7 @@ class SpeedStage:
 
     def _orders(
         self,
-        on_path: _Way,
+        on_path: _OnPath,
         planned: _Planned,
         i: int,
         kind: DecisionKind,
@@ -449,7 +449,7 @@ class SpeedStage:
                 else s - blocks.upper[i, took]
             ).min()
             words.append(f"keeps {keeps:.1f} m")
-        for order in sorted(ORDERS, key=lambda order: order is not kind):
+        for order in (kind, *(order for order in ORDERS if order is not kind)):
             costly = f"costs {costs[order]:.1f}" if costs[order] < COLLIDES else "would collide"
             words.append(f"{ORDERS[order][0]} {costly}")
         return ", ".join(words)

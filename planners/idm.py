@@ -149,7 +149,7 @@ class Idm:
             for n in np.flatnonzero(leader >= 0):
                 k = int(np.searchsorted(lead.t, t[n] + 1e-9)) - 1
                 upper[n] = np.fmin(lead.lower[leader[n], k], path.length)
-            shown = (*outlines(blocks, decisions), *stop_outlines(stops, float(t[-1]), path.length))
+            drawn = (*outlines(blocks, decisions), *stop_outlines(stops, float(t[-1]), path.length))
             free, driven = Corridor(t, np.zeros(len(t)), upper), np.column_stack([t, profile[0]])
             points = np.arange(0, len(path.s), 8)  # every few metres
             s, side, lane = path.s[points], 0.5 * scene.vehicle.width, scene.reference
@@ -168,7 +168,7 @@ class Idm:
             )
             # Several hypotheses of an agent may lead
             by_agent = {decision.agent: decision for decision in leads}
-            st_graph = StGraph(None, free, nothing, driven, shown)
+            st_graph = StGraph(None, free, nothing, driven, drawn)
             return (st_graph, sl_graph, *by_agent.values(), *(stop.decision for stop in stops))
 
         trajectory = trajectory_along(path, profile, frame.t)
@@ -222,8 +222,8 @@ def idm_acceleration(
     free = a * (1.0 - (v / v0) ** 4) if v <= v0 else tracking  # (1)
     if gap == inf:
         return free
-    wanted = s0 + max(0.0, v * time_gap + v * (v - v_lead) / (2.0 * sqrt(a * b)))  # (2)
-    return free - a * (wanted / max(gap, TOUCHING_M)) ** 2  # (1), (3)
+    wanted_gap = s0 + max(0.0, v * time_gap + v * (v - v_lead) / (2.0 * sqrt(a * b)))  # (2)
+    return free - a * (wanted_gap / max(gap, TOUCHING_M)) ** 2  # (1), (3)
 
 
 @kernel
@@ -264,11 +264,11 @@ def _rolled_out(
                 break
         v_lead = max(speed[led[n]], 0.0) if led[n] >= 0 else 0.0
         slope = (limit[point + 1] - limit[point]) / (sigma[point + 1] - sigma[point])
-        wanted = idm_acceleration(
+        accel_wanted = idm_acceleration(
             v, limit[point], slope, gap, v_lead, accel, decel, time_gap, standstill_gap
         )
         change = jerk * STEP_S
-        a = min(max(wanted, -hardest, a - change), a + change)
+        a = min(max(accel_wanted, -hardest, a - change), a + change)
         v_next = v + a * STEP_S
         if v_next <= 0.0:
             s, v, a = s + (0.5 * v * v / -a if a < 0.0 else 0.0), 0.0, 0.0

@@ -117,27 +117,27 @@ class GoalWindow:
 
     def time_left(self, t: float) -> float:
         """Time left to reach the goal, s; inf where it names no time or the time has passed."""
-        last = self._goal.t[1] if self._goal is not None and self._goal.t is not None else -np.inf
-        return last - t if last > t else np.inf
+        latest = self._goal.t[1] if self._goal is not None and self._goal.t is not None else -np.inf
+        return latest - t if latest > t else np.inf
 
     def target(self, t: float, s: float, v: float) -> SpeedTarget:
         """The demands (2) and (3) on a rear axle at station `s` at time `t` with speed `v`."""
         goal, (begin, end) = self._goal, self._region
         if goal is None or goal.t is None:
             return SpeedTarget()
-        first, last = goal.t
-        opens = first + min(ROOM_S, 0.5 * (last - first))
+        earliest, latest = goal.t
+        opens = earliest + min(ROOM_S, 0.5 * (latest - earliest))
         if not goal.regions:
             early = self._slow(t, s, v, self._road_end - END_M, self._road_end, opens)
             return replace(early, stop=self._road_end - END_M) if early.cap < np.inf else early
         if not np.isfinite(end):  # a lane far beside the goal's: it does not lead there sooner
-            return SpeedTarget(missed_s=max(self._late(t, s, v, self._begins, last), 0.0))
+            return SpeedTarget(missed_s=max(self._late(t, s, v, self._begins, latest), 0.0))
         if s > end:
             return SpeedTarget()
         early = self._slow(t, s, v, end - 0.25 * (end - begin), end, opens)
         if early.cap < np.inf:
             return early
-        late = self._late(t, s, v, begin, last)
+        late = self._late(t, s, v, begin, latest)
         return SpeedTarget(hurried=late > -HASTE_S, missed_s=max(late, 0.0))  # (3)
 
     def _slow(
@@ -149,11 +149,11 @@ class GoalWindow:
         slowly = LEAST * float(np.interp(s, *self._limit))
         return SpeedTarget(max((inner - s) / (opens - t), slowly), end)  # (2)
 
-    def _late(self, t: float, s: float, v: float, begin: float, last: float) -> float:
-        """Lateness of the ego at station `begin` after `last`, s; -inf if it is past `begin` or
-        `last` has passed.
+    def _late(self, t: float, s: float, v: float, begin: float, latest: float) -> float:
+        """Lateness of the ego at station `begin` after `latest`, s; -inf if it is past `begin` or
+        `latest` has passed.
         """
-        return t + self._least_time(s, begin, v) - last if s < begin and t < last else -np.inf
+        return t + self._least_time(s, begin, v) - latest if s < begin and t < latest else -np.inf
 
     def _least_time(self, s: float, to: float, v: float) -> float:
         """Time of the fastest permitted driving from station to station, from the speed `v`, s."""
@@ -169,16 +169,16 @@ def _least_time(
     It adds in eight sums, as NumPy does.
     """
     step, last, sums = (to - s) / STEPS, len(knots) - 1, np.zeros(8)
-    before = s
+    begin = s
     for i in range(STEPS):
-        after = to if i == STEPS - 1 else (i + 1) * step + s
-        middle = min(max(0.5 * (after + before), knots[0]), knots[last])
+        end = to if i == STEPS - 1 else (i + 1) * step + s
+        middle = min(max(0.5 * (end + begin), knots[0]), knots[last])
         j = min(int(np.searchsorted(knots, middle, "right")) - 1, last - 1)
         slope = (limit[j + 1] - limit[j]) / (knots[j + 1] - knots[j])
         allowed = slope * (middle - knots[j]) + limit[j] if middle < knots[last] else limit[last]
-        fast = min(allowed, sqrt(v * v + 2.0 * accel * (after - s)))
-        sums[i % 8] += (after - before) / max(fast, 0.5)
-        before = after
+        fast = min(allowed, sqrt(v * v + 2.0 * accel * (end - s)))
+        sums[i % 8] += (end - begin) / max(fast, 0.5)
+        begin = end
     count = len(sums)
     while count > 1:
         count //= 2
@@ -215,11 +215,11 @@ def _sides(goal: Goal, reference: ReferencePath) -> FloatArray:
             x, y, yaw, _ = reference.line.frame(float(stations[k]))
             along = (region - (x, y)) @ (np.cos(yaw), np.sin(yaw))
             aside = (region - (x, y)) @ (-np.sin(yaw), np.cos(yaw))
-            after, then = np.roll(along, -1), np.roll(aside, -1)
+            next_along, next_aside = np.roll(along, -1), np.roll(aside, -1)
             # Where the normal of the line runs through the region
-            cut = (along > 0.0) != (after > 0.0)
+            cut = (along > 0.0) != (next_along > 0.0)
             crossings = np.sort(
-                aside[cut] + (then - aside)[cut] * along[cut] / (along - after)[cut]
+                aside[cut] + (next_aside - aside)[cut] * along[cut] / (along - next_along)[cut]
             )
             pieces[k] += [
                 (float(low), float(high))

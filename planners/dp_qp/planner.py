@@ -87,9 +87,9 @@ class DpQp:
         self._lanes = LaneSequences(context)
         self._planners: dict[LaneSequence, LanePlanner] = {}
         self._memory = PlannerMemory(self._lanes.start(context.start))
-        first, start = self._memory.driven, context.start
-        station, _ = first.reference.line.project(start.x, start.y)
-        for lane in (first, *(lane for _, lane in self._lanes.beside(first, station))):
+        driven, start = self._memory.driven, context.start
+        station, _ = driven.reference.line.project(start.x, start.y)
+        for lane in (driven, *(lane for _, lane in self._lanes.beside(driven, station))):
             self._planner(lane)  # made before the first frame, which would be late
 
     def plan(self, frame: Frame) -> Plan:
@@ -128,17 +128,17 @@ class DpQp:
         Neighbouring lanes are planned only where they may be cheaper.
         """
         memory, config = self._memory, self._config
-        planner, before = (
+        planner, lane_memory = (
             self._planner(memory.driven),
             memory.lanes.get(memory.driven, LaneMemory()),
         )
         keep, memory.lanes[memory.driven] = planner.plan(
-            "keep", planner.scene(frame, start, before), before
+            "keep", planner.scene(frame, start, lane_memory), lane_memory
         )
-        past = memory.passing.get(keep.lane, PassMemory())
+        pass_memory = memory.passing.get(keep.lane, PassMemory())
         passes_left = self._context.road.drives_on_right
         keep, considered, memory.passing[keep.lane] = passing(
-            keep, planner, past, config, passes_left=passes_left
+            keep, planner, pass_memory, config, passes_left=passes_left
         )
         self._lap("passing")
         if not worth_looking(keep, config.lane, since_change=frame.t - memory.changed):
@@ -146,24 +146,24 @@ class DpQp:
         beside = self._lanes.beside(keep.lane, keep.scene.s)
         if not beside:
             return keep, considered
-        others: list[LanePlan] = []
+        neighbours: list[LanePlan] = []
         unplanned: list[Artefact] = []
         hysteresis = config.lane.hysteresis_s
         for side, lane in beside:
-            planner, before = self._planner(lane), memory.lanes.get(lane, LaneMemory())
-            scene = planner.scene(frame, start, before)
+            planner, lane_memory = self._planner(lane), memory.lanes.get(lane, LaneMemory())
+            scene = planner.scene(frame, start, lane_memory)
             option = hopeless(side, scene, planner.least_costs(side, scene), keep, hysteresis)
             if option is not None:
                 unplanned.append(option)
                 continue
-            plan, memory.lanes[lane] = planner.plan(side, scene, before)
-            others.append(plan)
-        chosen, more = choose(keep, others, hysteresis)
+            plan, memory.lanes[lane] = planner.plan(side, scene, lane_memory)
+            neighbours.append(plan)
+        chosen, options = choose(keep, neighbours, hysteresis)
         if chosen is not keep:
             memory.passing.pop(keep.lane, None)
             memory.driven, memory.changed = chosen.lane, frame.t
         self._lap("lane choice")
-        return chosen, (*considered, *more, *unplanned)
+        return chosen, (*considered, *options, *unplanned)
 
     def _planner(self, lane: LaneSequence) -> LanePlanner:
         if lane not in self._planners:
@@ -197,41 +197,43 @@ def hopeless(
     be.
     """
     cost = sum(value for _, value in least.terms)
-    against = ""
+    reason = ""
     if not cost < keep.cost - hysteresis_s:
-        against = (
+        reason = (
             f"costs at least {cost:.1f} s, {keep.name} {keep.cost:.1f} s: not "
             f"{hysteresis_s:.1f} s better"
         )
     elif abs(scene.l) > INSIDE_M:
-        against = _unsafe(scene)
-    return LaneOption(name, least.terms, against) if against else None
+        reason = _unsafe(scene)
+    return LaneOption(name, least.terms, reason) if reason else None
 
 
 def choose(
-    keep: LanePlan, others: list[LanePlan], hysteresis_s: float
+    keep: LanePlan, neighbours: list[LanePlan], hysteresis_s: float
 ) -> tuple[LanePlan, tuple[Artefact, ...]]:
     """The cheapest permitted plan, and the options that were compared."""
     best, rejected = keep, dict[str, str]()
-    for other in others:
-        against = "" if other.is_comfortable else other.trouble
-        if not against and abs(other.scene.l) > INSIDE_M:
-            against = _unsafe(other.scene)
+    for neighbour in neighbours:
+        reason = "" if neighbour.is_comfortable else neighbour.trouble
+        if not reason and abs(neighbour.scene.l) > INSIDE_M:
+            reason = _unsafe(neighbour.scene)
         needed = hysteresis_s if best is keep else 0.0
-        if not against and not other.cost < best.cost - needed:
-            against = f"costs {other.cost:.1f} s, {best.name} {best.cost:.1f} s"
-            against += f": not {needed:.1f} s better" if other.cost < best.cost else ""
-        if against:
-            rejected[other.name] = against
+        if not reason and not neighbour.cost < best.cost - needed:
+            reason = f"costs {neighbour.cost:.1f} s, {best.name} {best.cost:.1f} s"
+            reason += f": not {needed:.1f} s better" if neighbour.cost < best.cost else ""
+        if reason:
+            rejected[neighbour.name] = reason
             continue
         if best is not keep:
-            rejected[best.name] = f"costs {best.cost:.1f} s, {other.name} {other.cost:.1f} s"
-        best = other
+            rejected[best.name] = (
+                f"costs {best.cost:.1f} s, {neighbour.name} {neighbour.cost:.1f} s"
+            )
+        best = neighbour
     if best is not keep:
         rejected[keep.name] = f"costs {keep.cost:.1f} s, {best.name} {best.cost:.1f} s"
     compared = (
         LaneOption(plan.name, plan.costs.terms, rejected.get(plan.name, ""))
-        for plan in (keep, *others)
+        for plan in (keep, *neighbours)
     )
     return best, tuple(compared)
 
@@ -309,33 +311,35 @@ def passing(
     slow, ids = find_slow_agents(scene, memory.passed), scene.frame.agents.ids
     if not slow and not memory.passed:
         return keep, (), PassMemory(t, given_up=memory.given_up, lane=memory.lane)
-    past, names, after = _plan_past(
+    pass_plan, names, memory_after = _plan_past(
         keep, planner, memory, slow, config.path.corridor, passes_left=passes_left
     )
     under_way = bool(names & memory.passed)
-    against = ""
-    if past is None:
-        against = "no plan"
-    elif not past.is_comfortable and (keep.is_comfortable or not under_way):
-        against = past.trouble
-    elif not past.cost < keep.cost - (-hysteresis if under_way else hysteresis):
-        against = f"costs {past.cost:.1f} s, keep {keep.cost:.1f} s" + (
+    reason = ""
+    if pass_plan is None:
+        reason = "no plan"
+    elif not pass_plan.is_comfortable and (keep.is_comfortable or not under_way):
+        reason = pass_plan.trouble
+    elif not pass_plan.cost < keep.cost - (-hysteresis if under_way else hysteresis):
+        reason = f"costs {pass_plan.cost:.1f} s, keep {keep.cost:.1f} s" + (
             " and it is not begun" if not under_way else ""
         )
     if not under_way and any(
         t - memory.given_up.get(name, -inf) < config.lane.dwell_s for name in names
     ):
-        against = "abandoned a moment ago"
-    going = frozenset() if against else names
-    given_up = {**memory.given_up, **{ids[i]: t for i in slow if ids[i] in memory.passed - going}}
-    memory = replace(after, t=t, passed=going, given_up=given_up)
-    if past is None:
+        reason = "abandoned a moment ago"
+    passed = frozenset() if reason else names
+    given_up = {**memory.given_up, **{ids[i]: t for i in slow if ids[i] in memory.passed - passed}}
+    memory = replace(memory_after, t=t, passed=passed, given_up=given_up)
+    if pass_plan is None:
         return keep, (), memory
     rejected = (
-        f"pass: {against}" if against else f"keep: costs {keep.cost:.1f} s, pass {past.cost:.1f} s"
+        f"pass: {reason}"
+        if reason
+        else f"keep: costs {keep.cost:.1f} s, pass {pass_plan.cost:.1f} s"
     )
-    considered = (keep.costs, past.costs, Candidates("passing", 2, ((rejected, 1),)))
-    return keep if against else past, considered, memory
+    considered = (keep.costs, pass_plan.costs, Candidates("passing", 2, ((rejected, 1),)))
+    return keep if reason else pass_plan, considered, memory
 
 
 def _plan_past(
@@ -376,15 +380,15 @@ def _plan_past(
         if path is None or speed is None or speed.profile is None:
             return None, frozenset(), replace(memory, stations=None, lane=lane)
         sigma = speed.profile[0]
-        reached = np.interp(sigma, path.sigma, path.s)  # on the reference line
-        stations = _carried_on(STEP_S * np.arange(len(sigma)), reached, t - t[0])
+        driven = np.interp(sigma, path.sigma, path.s)  # on the reference line
+        stations = _carried_on(STEP_S * np.arange(len(sigma)), driven, t - t[0])
         previous, targets = targets, pass_targets(scene, slow, stations, memory.passed)
         moved = [
             abs(a.box.s_from - b.box.s_from) + abs(a.box.s_to - b.box.s_to)
             for a, b in zip(previous, targets, strict=False)
         ]
-        same = [target.agent for target in previous] == [target.agent for target in targets]
-        if turn + 1 == TURNS or (same and max(moved, default=inf) < SETTLED_M):
+        are_same = [target.agent for target in previous] == [target.agent for target in targets]
+        if turn + 1 == TURNS or (are_same and max(moved, default=inf) < SETTLED_M):
             break
     names = (
         frozenset(plan.path.passed)

@@ -231,10 +231,10 @@ def make_line(
         lanes.append(onward)
         beyond += road.lanes[onward].length
     groups: list[list[Lane]] = []  # each of lanes side by side
-    for before, now in zip((None, *lanes), lanes, strict=False):
-        if before is not None and now in (
-            road.lanes[before].left_neighbour,
-            road.lanes[before].right_neighbour,
+    for previous, now in zip((None, *lanes), lanes, strict=False):
+        if previous is not None and now in (
+            road.lanes[previous].left_neighbour,
+            road.lanes[previous].right_neighbour,
         ):
             groups[-1].append(road.lanes[now])
         else:
@@ -320,8 +320,8 @@ def _blend_centers(group: list[Lane], ego: EgoState | None) -> FloatArray:
     begin = 0.0
     if ego is not None:
         begin = float(u[nearest(first, ego.x, ego.y)])
-    wanted = (3.0 * max(ego.v if ego else 0.0, 5.0) * (len(group) - 1) + 10.0) / group[0].length
-    end = min(1.0, begin + max(wanted, 1e-3))
+    share = (3.0 * max(ego.v if ego else 0.0, 5.0) * (len(group) - 1) + 10.0) / group[0].length
+    end = min(1.0, begin + max(share, 1e-3))
     w = np.clip((u - begin) / max(end - begin, 1e-9), 0.0, 1.0)
     w = w * w * w * (10.0 - 15.0 * w + 6.0 * w * w)
     return (1.0 - w)[:, None] * first + w[:, None] * last
@@ -428,11 +428,11 @@ def _fill_nan(values: FloatArray, default: float) -> FloatArray:
 
     All NaN: by the default.
     """
-    known = np.isfinite(values)
-    if not known.any():
+    is_known = np.isfinite(values)
+    if not is_known.any():
         return np.full(len(values), default)
     index = np.arange(len(values))
-    return np.interp(index, index[known], values[known])
+    return np.interp(index, index[is_known], values[is_known])
 
 
 # Length of a sequence behind the lane that it was made for, m, so that it contains agents that
@@ -534,12 +534,14 @@ class LaneSequences:
         needs = [
             self._to_go[lane_id].changes if lane_id in self._to_go else None for lane_id in lanes
         ]
-        known = [(need, i) for i, need in enumerate(needs) if need is not None and i >= len(behind)]
-        fewest = min((need for need, _ in known), default=None)
+        known_needs = [
+            (need, i) for i, need in enumerate(needs) if need is not None and i >= len(behind)
+        ]
+        fewest = min((need for need, _ in known_needs), default=None)
         if not fewest:
             return LaneSequence(lanes, reference, fewest, np.inf)
         ends = np.cumsum([self._road.lanes[lane_id].length for lane_id in lanes])
-        due = float(ends[max(i for need, i in known if need == fewest)])
+        due = float(ends[max(i for need, i in known_needs if need == fewest)])
         return LaneSequence(lanes, reference, fewest, due)  # (3), (4)
 
 

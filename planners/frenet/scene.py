@@ -164,8 +164,15 @@ class Scene:
     @property
     def futures(self) -> Futures:
         """The predictions."""
-        known = self.frame.predictions
-        return Futures(known.t, known.agent, known.probability, known.x, known.y, known.yaw)
+        predictions = self.frame.predictions
+        return Futures(
+            predictions.t,
+            predictions.agent,
+            predictions.probability,
+            predictions.x,
+            predictions.y,
+            predictions.yaw,
+        )
 
     def name(self, agent: int) -> str:
         """The name of an agent in messages ("car 12")."""
@@ -293,8 +300,8 @@ def start_of(
     """
     if frame.previous is not None:
         old = frame.previous.trajectory.at(frame.t)
-        near = hypot(old.x - frame.ego.x, old.y - frame.ego.y) <= stitch_m
-        if near and abs(old.v - frame.ego.v) <= stitch_mps:
+        is_near = hypot(old.x - frame.ego.x, old.y - frame.ego.y) <= stitch_m
+        if is_near and abs(old.v - frame.ego.v) <= stitch_mps:
             return old, PlanStart.PREVIOUS_PLAN
     return frame.ego, PlanStart.EGO
 

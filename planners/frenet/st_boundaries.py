@@ -557,16 +557,16 @@ def _drawn_out(
     t: FloatArray, lower: FloatArray, upper: FloatArray, early: float, late: float
 ) -> float:
     """Extend an interval `(k,)` in time (2); return the station at which the agent enters."""
-    first, last = 0, len(t) - 1
-    while isnan(lower[first]):
-        first += 1
-    while isnan(lower[last]):
-        last -= 1
-    begin = t[first] - min(early, t[first] / 3.0)
-    end = t[last] + (min(late, 0.5 * t[last]) if last < len(t) - 1 else 0.0)
+    entry, leave = 0, len(t) - 1
+    while isnan(lower[entry]):
+        entry += 1
+    while isnan(lower[leave]):
+        leave -= 1
+    begin = t[entry] - min(early, t[entry] / 3.0)
+    end = t[leave] + (min(late, 0.5 * t[leave]) if leave < len(t) - 1 else 0.0)
     for k in range(len(t)):
-        if begin <= t[k] < t[first]:
-            lower[k], upper[k] = lower[first], upper[first]
-        elif t[last] < t[k] <= end:
-            lower[k], upper[k] = lower[last], upper[last]
-    return lower[first]
+        if begin <= t[k] < t[entry]:
+            lower[k], upper[k] = lower[entry], upper[entry]
+        elif t[leave] < t[k] <= end:
+            lower[k], upper[k] = lower[leave], upper[leave]
+    return lower[entry]

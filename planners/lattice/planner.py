@@ -240,9 +240,9 @@ class Sampler:
         offsets = np.array([0.0, *(offset for offset in all_offsets if right <= offset <= left)])
         rests = aim < ego.speed * STOP_S + 0.5 * ego.speed**2 / config.ease_mps2 + STOP_M
         soon = np.linspace(ego.s, ego.s + 3.0 * ego.speed + 5.0, 8)  # within the next 3 s
-        wanted = 0.0 if rests else float(np.interp(soon, stations, self.limit).min())
+        wanted_speed = 0.0 if rests else float(np.interp(soon, stations, self.limit).min())
         rows = [
-            *self._keeping(ego, wanted, aim if rests else np.inf),
+            *self._keeping(ego, wanted_speed, aim if rests else np.inf),
             *self._reaching(ego, futures, offsets),
         ]
         c3, c4, c5, duration, end_speed, missed, track = np.array(rows).T.copy()
@@ -267,9 +267,11 @@ class Sampler:
         counts[Fault.NONE] = 0
         fit = faults == Fault.NONE
         fitting = Longitudinal(*(column[fit] for column in lon))
-        return self._pair_candidates(ego, futures, fitting, motion[fit], offsets, wanted, counts)
+        return self._pair_candidates(
+            ego, futures, fitting, motion[fit], offsets, wanted_speed, counts
+        )
 
-    def _keeping(self, ego: FrenetStart, wanted: float, aim: float) -> list[Row]:
+    def _keeping(self, ego: FrenetStart, wanted_speed: float, aim: float) -> list[Row]:
         """Polynomials to speeds up to the wanted one, to the ego's own speed, and to rest, from
         gentle to hard braking.
 
@@ -277,7 +279,7 @@ class Sampler:
         further rows reach it.
         """
         config, rows = self._config, list[Row]()
-        speeds = [*np.linspace(0.0, wanted, config.speeds), min(ego.speed, wanted)]
+        speeds = [*np.linspace(0.0, wanted_speed, config.speeds), min(ego.speed, wanted_speed)]
         decels = (0.4 * config.ease_mps2, config.ease_mps2, 3.0, 5.0, 0.95 * config.decel_mps2)
         ends = [(v1, T) for v1 in speeds for T in config.durations_s]
         # A cubic s_dot: 1.5 times the mean
@@ -330,18 +332,18 @@ class Sampler:
         lon: Longitudinal,
         motion: FloatArray,
         offsets: FloatArray,
-        wanted: float,
+        wanted_speed: float,
         faults: IntArray,
     ) -> Pairs:
         """The pairs with their costs (`candidates`, (4))."""
         c, car = self._config, self._vehicle
         T = np.array(c.lateral_durations_s)
         jerk = squared_jerks(lon.coef, lon.T)
-        own = np.array(
+        own_costs = np.array(
             [
                 c.w_jerk * jerk,
                 c.w_time * lon.T,
-                c.w_speed * (lon.v1 - wanted) ** 2 + c.w_point * lon.missed**2,
+                c.w_speed * (lon.v1 - wanted_speed) ** 2 + c.w_point * lon.missed**2,
             ]
         )
         box = np.array([car.axle_to_front, car.rear_overhang, 0.5 * car.width])
@@ -372,7 +374,7 @@ class Sampler:
             lateral = np.array(
                 [c.w_lateral * sideways.ravel(), np.repeat(c.w_gap * missing, len(T))]
             )
-            costs.append(np.vstack([np.repeat(own[:, rows], len(T), axis=1), lateral]))
+            costs.append(np.vstack([np.repeat(own_costs[:, rows], len(T), axis=1), lateral]))
         row, l1, length, changes = map(np.concatenate, zip(*columns, strict=True))
         return Pairs(lon, row, l1, length, changes, np.concatenate(costs, axis=1), faults)
 

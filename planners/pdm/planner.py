@@ -177,8 +177,8 @@ class Pdm:
         demanded, self._memory = self._rules.stops(scene, self._memory)
         self._lap("scene")
         agents, ego = frame.agents, frame.ego
-        near = np.hypot(agents.x - ego.x, agents.y - ego.y) <= c.radius_m
-        tracks = [self._track(scene, demanded, near, offset) for offset in self._offsets]
+        is_near = np.hypot(agents.x - ego.x, agents.y - ego.y) <= c.radius_m
+        tracks = [self._track(scene, demanded, is_near, offset) for offset in self._offsets]
         self._lap("proposals")
         steps = round(c.horizon_s / STEP_S) + 1
         profiles = [(driven.path, profile) for driven in tracks for profile in driven.profiles]
@@ -187,7 +187,7 @@ class Pdm:
         ]
         self._lap("simulation")
         weights = c.w_progress, c.w_ttc, c.w_comfort
-        scored = scores(np.array(drives), scene, np.flatnonzero(near), weights)
+        scored = scores(np.array(drives), scene, np.flatnonzero(is_near), weights)
         chosen = int(np.argmax(np.round(scored.total, 9)))
         self._lap("scores")
         track, row = tracks[chosen // len(c.speed_shares)], chosen % len(c.speed_shares)
@@ -218,7 +218,7 @@ class Pdm:
         return Plan(trajectory, start=start_kind, internals=internals)
 
     def _track(
-        self, scene: Scene, demanded: tuple[Occupancy, ...], near: BoolArray, offset: float
+        self, scene: Scene, demanded: tuple[Occupancy, ...], is_near: BoolArray, offset: float
     ) -> Track:
         """A path `offset` m beside the middle of the route, and the drivers on it."""
         c = self._config
@@ -226,7 +226,7 @@ class Pdm:
         path = make_path(
             scene.reference.line, scene.s, KNOT_M, np.outer([offset, 0.0, 0.0], np.ones(knots))
         )
-        blocks = st_boundaries(scene, path, ~near, frozenset(), BODIES)
+        blocks = st_boundaries(scene, path, ~is_near, frozenset(), BODIES)
         stops = on_path(demanded, path, self._vehicle)
         lead = blocks.with_stops([replace(stop, s_from=stop.aim + c.min_gap_m) for stop in stops])
         speeds = scene.limit * np.array(c.speed_shares)
@@ -249,17 +249,17 @@ class Pdm:
         ]
         t, driven_m = STEP_S * np.arange(HORIZON_KNOTS), track.profiles[row, 0]
         decisions = decide_speed(track.blocks, scene, np.interp(track.blocks.t, t, driven_m))
-        shown = (
+        drawn = (
             *outlines(track.blocks, decisions),
             *stop_outlines(track.stops, float(t[-1]), track.path.length),
         )
-        st_graph = StGraph(None, None, np.empty((0, 2)), np.column_stack([t, driven_m]), shown)
+        st_graph = StGraph(None, None, np.empty((0, 2)), np.column_stack([t, driven_m]), drawn)
         s, side, reference = track.path.s[::8], 0.5 * scene.vehicle.width, scene.reference
         edges = (reference.facing_right, reference.facing_left)
         right, left = (np.interp(s, reference.line.s, edge) for edge in edges if edge is not None)
         line = np.column_stack([s, np.full(len(s), track.offset)])
         sl_graph = SlGraph(None, Corridor(s, right + side, left - side), np.empty((0, 2)), line, ())
-        near = {decision.agent: decision for decision in decisions}.values()
+        decided = {decision.agent: decision for decision in decisions}.values()
         rows = [chosen, *(n for n in range(len(named)) if n != chosen)]
         terms = [tuple(zip(PARTS[3:], scored.weighted[:, n].tolist(), strict=True)) for n in rows]
         costs = [
@@ -272,7 +272,7 @@ class Pdm:
         return (
             st_graph,
             sl_graph,
-            *near,
+            *decided,
             *(stop.decision for stop in track.stops),
             *costs,
             counted,
@@ -315,9 +315,12 @@ class Driver(NamedTuple):
 def idm_acceleration(v: float, v0: float, gap: float, v_lead: float, driver: Driver) -> float:
     """Acceleration (1), m/s2; an infinite gap is a free road."""
     a, b = driver.accel, driver.decel
-    wanted = driver.min_gap + v * driver.headway + v * (v - v_lead) / (2.0 * sqrt(a * b))
+    wanted_gap = driver.min_gap + v * driver.headway + v * (v - v_lead) / (2.0 * sqrt(a * b))
     return min(
-        max(a * (1.0 - (v / v0) ** driver.exponent - (wanted / max(gap, driver.min_gap)) ** 2), -b),
+        max(
+            a * (1.0 - (v / v0) ** driver.exponent - (wanted_gap / max(gap, driver.min_gap)) ** 2),
+            -b,
+        ),
         a,
     )
 
@@ -391,16 +394,16 @@ def follow_proposal(
         states[4, k], states[5, k] = a, tan(steer) / wheelbase
         knot, then = min(k, last), min(k + AHEAD, last)
         if speed[then] <= STOPPING_MPS and v <= STOPPING_MPS:
-            wanted, rate = STOPPING_GAIN * (speed[then] - v), 0.0
+            wanted_accel, rate = STOPPING_GAIN * (speed[then] - v), 0.0
         else:
             N = STEP_S * AHEAD
-            wanted = N * Q_SPEED * (speed[then] - v) / (N * N * Q_SPEED + 1.0)  # (2)
+            wanted_accel = N * Q_SPEED * (speed[then] - v) / (N * N * Q_SPEED + 1.0)  # (2)
             e = (y - pose[1, knot]) * cos(pose[2, knot]) - (x - pose[0, knot]) * sin(pose[2, knot])
             psi = wrap(yaw - pose[2, knot])
             # The response to a rate of 1; e and psi become that to a rate of 0
             e1, psi1, steer1 = 0.0, 0.0, 0.0
             for i in range(AHEAD):
-                step_m = STEP_S * max(v + i * STEP_S * wanted, 0.0)
+                step_m = STEP_S * max(v + i * STEP_S * wanted_accel, 0.0)
                 e, psi = (
                     e + step_m * psi,
                     psi + step_m * (steer / wheelbase - pose[3, min(knot + i, last)]),
@@ -413,7 +416,7 @@ def follow_proposal(
             psi = atan2(sin(psi), cos(psi))
             gain = Q_OFFSET * e1**2 + Q_HEADING * psi1**2 + 1.0
             rate = -(Q_OFFSET * e1 * e + Q_HEADING * psi1 * psi) / gain  # (3)
-        a += STEP_S / (STEP_S + ACCEL_LAG_S) * (wanted - a)  # (4)
+        a += STEP_S / (STEP_S + ACCEL_LAG_S) * (wanted_accel - a)  # (4)
         v_next = max(v + STEP_S * a, 0.0)
         if v_next == 0.0:
             a = 0.0

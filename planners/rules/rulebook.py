@@ -234,16 +234,16 @@ class Rulebook:
         line.
         """
         scene, front, v = visit.scene, visit.scene.front, visit.scene.start.v
-        near = []
+        zones_ahead = []
         for zone in self._zones:
             if front < zone.s_in:
                 ahead = next(hold for hold in zone.holds if hold >= front)
                 if ahead < barrier and ahead - front < 0.5 * v**2 / self._ease + v + LOOK_M:
-                    near.append(zone)
-        names = {zone.name for zone in near}
+                    zones_ahead.append(zone)
+        names = {zone.name for zone in zones_ahead}
         visit.taken &= names
         visit.since = {name: t for name, t in visit.since.items() if name in names}
-        if not near:
+        if not zones_ahead:
             return
         agents, along, accel = scene.frame.agents, scene.agents, scene.start.a
         rears = along.s - 0.5 * agents.length
@@ -264,7 +264,7 @@ class Rulebook:
             behind = rear - front - ROOM_M + speed * STEP_S * np.arange(HORIZON_KNOTS)
             for motion in (sooner, later):
                 motion[0] = np.minimum(motion[0], np.maximum(behind, 0.0))
-        for zone in near:
+        for zone in zones_ahead:
             stop = self._at_zone(zone, visit, sooner, later)
             if stop is not None:
                 visit.taken.discard(zone.name)
@@ -278,25 +278,25 @@ class Rulebook:
         The ego enters as in the motion `sooner`, leaves as in `later` (rows s, v).
         """
         scene, front = visit.scene, visit.scene.front
-        held, late = zone.name in visit.stopping, isinstance(zone.by, Walk)
+        held, may_stop_late = zone.name in visit.stopping, isinstance(zone.by, Walk)
         t_in, t_out = self._passage(zone, front, sooner)[0], self._passage(zone, front, later)[1]
         until, why, (rear, speed, leader) = 0.0, "", visit.leader
         if speed < ROLLING_MPS and zone.s_in < rear < zone.s_out + self._vehicle.length + ROOM_M:
             until, why = inf, f"no room behind it: {scene.name(leader)} stands there"
         elif isfinite(t_in):
-            taken = windows(zone, self._reference.line, self._road, scene.frame)
-            less = KEPT_S if zone.name in visit.taken else 0.0
+            stretches = windows(zone, self._reference.line, self._road, scene.frame)
+            released_s = KEPT_S if zone.name in visit.taken else 0.0
             against = [
                 stretch
-                for stretch in taken
-                if not self._passes(zone, stretch, t_in, t_out, later, less)
+                for stretch in stretches
+                if not self._passes(zone, stretch, t_in, t_out, later, released_s)
             ]
             waits, has_waited, ego = (
                 all(stretch.waits for stretch in against),
                 False,
                 scene.frame.ego,
             )
-            late = late and not waits
+            may_stop_late = may_stop_late and not waits
             # Only standing pedestrians: the ego goes first after it has stood long enough
             if against and waits:
                 if ego.v < REST_MPS:
@@ -308,16 +308,16 @@ class Rulebook:
             if not against or has_waited:
                 visit.taken.add(zone.name)
                 return None
-            first, until = against[0], self._release(zone, visit, taken, sooner)
+            nearest, until = against[0], self._release(zone, visit, stretches, sooner)
             from_text, until_text = (
-                f"to {t:.1f} s" if isfinite(t) else "on" for t in (first.end, t_out)
+                f"to {t:.1f} s" if isfinite(t) else "on" for t in (nearest.end, t_out)
             )
-            name = scene.name(first.agent)
-            why = f"{name} goes first: takes it from {first.begin:.1f} s {from_text}, "
+            name = scene.name(nearest.agent)
+            why = f"{name} goes first: takes it from {nearest.begin:.1f} s {from_text}, "
             why += f"the ego would from {t_in:.1f} s {until_text}"
         for hold in zone.holds if why else ():
             room = hold - front
-            if room >= 0.0 and (visit.hard if held or late else visit.soft) <= room:
+            if room >= 0.0 and (visit.hard if held or may_stop_late else visit.soft) <= room:
                 return _stop(hold, visit, until, zone.name, DecisionKind.YIELD, why)
         return None
 

@@ -153,11 +153,11 @@ def zones_along(
             continue
         s = np.arange(float(line.s[close[0]]) - 1.0, float(line.s[close[-1]]) + 1.0, 0.5 * STEP_M)
         x, y, yaw, _ = np.array([line.frame(station_m) for station_m in s]).T
-        near = (low[0] <= x) & (x <= high[0]) & (low[1] <= y) & (y <= high[1])
+        in_box = (low[0] <= x) & (x <= high[0]) & (low[1] <= y) & (y <= high[1])
         c, d = np.cos(yaw), np.sin(yaw)
         over = [
             s[k]
-            for k in np.flatnonzero(near)
+            for k in np.flatnonzero(in_box)
             if any(
                 inside(x[k] - l * d[k], y[k] + l * c[k], polygon) for l in (0.0, half, -half)
             )  # (1)
@@ -212,7 +212,7 @@ def _stop_station(mark: StopLine, line: ReferenceLine, width: float) -> float | 
 def _priorities(road: Road, reference: ReferencePath, vehicle: VehicleParameters) -> list[Zone]:
     """The zones (2); one per priority lane, even where two consecutive lanes of the ego meet it."""
     yielding = [road.lanes[i] for i in reference.lanes if road.lanes[i].yields_to]
-    before = predecessors(road.lanes) if yielding else {}
+    predecessors_of = predecessors(road.lanes) if yielding else {}
     zones: list[Zone] = []
     for own, first in [(lane, other) for lane in yielding for other in lane.yields_to]:
         if first not in road.lanes or first in reference.lanes:
@@ -222,7 +222,7 @@ def _priorities(road: Road, reference: ReferencePath, vehicle: VehicleParameters
             continue
         assert isinstance(zone.by, Priority)
         zone = replace(
-            zone, by=replace(zone.by, feeds=_feeds(road, first, before, reference.lanes))
+            zone, by=replace(zone.by, feeds=_feeds(road, first, predecessors_of, reference.lanes))
         )
         same = [
             old for old in zones if old.name == zone.name and zone.s_in - old.s_out < vehicle.length
@@ -235,8 +235,10 @@ def _priorities(road: Road, reference: ReferencePath, vehicle: VehicleParameters
         p_in, p_out = min(old.by.p_in, zone.by.p_in), max(old.by.p_out, zone.by.p_out)
         boxes, merges = np.vstack([old.by.boxes, zone.by.boxes]), old.by.merges or zone.by.merges
         by = replace(old.by, p_in=p_in, p_out=p_out, boxes=boxes, merges=merges)
-        whole = replace(old, by=by, s_in=min(old.s_in, zone.s_in), s_out=max(old.s_out, zone.s_out))
-        zones[zones.index(old)] = whole
+        merged = replace(
+            old, by=by, s_in=min(old.s_in, zone.s_in), s_out=max(old.s_out, zone.s_out)
+        )
+        zones[zones.index(old)] = merged
     return zones
 
 
@@ -248,10 +250,10 @@ def _conflict(line: ReferenceLine, lane: Lane, other: Lane, width: float) -> Zon
     s = np.arange(first, max(last, first + STEP_M), STEP_M)
     frames = np.array([line.frame(station) for station in s])
     reach = 0.5 * width + HALF_CAR_M + SIDE_M
-    met = np.flatnonzero(distances(frames[:, :2], other.center) < reach)  # (2)
-    if not len(met):
+    touching = np.flatnonzero(distances(frames[:, :2], other.center) < reach)  # (2)
+    if not len(touching):
         return None
-    first, last = int(met[0]), int(met[-1])
+    first, last = int(touching[0]), int(touching[-1])
     chord = arc_lengths(*other.center.T)
     p = np.arange(0.0, chord[-1] + STEP_M, STEP_M)
     points = np.column_stack([np.interp(p, chord, other.center[:, k]) for k in (0, 1)])
@@ -281,7 +283,7 @@ def _conflict(line: ReferenceLine, lane: Lane, other: Lane, width: float) -> Zon
 
 
 def _feeds(
-    road: Road, lane: int, before: Mapping[int, list[int]], own: Iterable[int]
+    road: Road, lane: int, predecessors_of: Mapping[int, list[int]], own: Iterable[int]
 ) -> dict[int, tuple[int, ...]]:
     """The lanes that lead to a lane within `FEED_M`, but not the ego's own, with the lights on the
     way to it.
@@ -290,7 +292,7 @@ def _feeds(
     queue, taken = [(lane, 0.0)], set(own)
     while queue:
         lane_id, length = queue.pop(0)
-        for previous in before.get(lane_id, ()):
+        for previous in predecessors_of.get(lane_id, ()):
             if previous in ways_to_lane or previous in taken or length >= FEED_M:
                 continue
             lights = (

@@ -53,7 +53,7 @@ def test_a_mirrored_world_gives_the_mirrored_plan(
 
 
 @pytest.mark.parametrize(("kind", "aside"), [(Idm, 0.6), (Pdm, 0.0), (Lattice, 0.6)])
-def test_alone_it_comes_to_the_limit_in_the_middle_of_the_lane_and_keeps_it(
+def test_a_free_drive_reaches_the_limit_and_keeps_the_lanes_middle(
     kind: Kind, aside: float
 ) -> None:
     ego = EgoState(0.0, 0.0, aside, 0.0, 5.0)
@@ -71,7 +71,7 @@ def test_alone_it_comes_to_the_limit_in_the_middle_of_the_lane_and_keeps_it(
         (Lattice, 10.5, 5.5),
     ],
 )
-def test_it_settles_behind_a_slower_leader_at_its_gap(
+def test_the_ego_settles_behind_a_slower_leader_at_its_gap(
     kind: Kind, gap: float, within: float
 ) -> None:
     leader = driving("lead", 40.0, 0.0, 8.0)
@@ -84,7 +84,7 @@ def test_it_settles_behind_a_slower_leader_at_its_gap(
 
 
 @pytest.mark.parametrize("kind", [Idm, Pdm])
-def test_it_slows_for_a_curve(kind: Kind) -> None:
+def test_the_ego_slows_for_a_curve(kind: Kind) -> None:
     road = lanes(curve((100.0, 0.0), (60.0, 1.0 / 20.0), (100.0, 0.0)), limit=14.0)
     drive = drives(kind, road, EgoState(0.0, 0.0, 0.0, 0.0, 12.0), seconds=16.0)
     assert min(now.ego.v for now, _ in drive) < 11.0
@@ -93,7 +93,7 @@ def test_it_slows_for_a_curve(kind: Kind) -> None:
 
 
 @pytest.mark.parametrize("kind", [Idm, Lattice])
-def test_it_lets_a_pedestrian_cross_and_goes_on(kind: Kind) -> None:
+def test_the_ego_lets_a_pedestrian_cross_and_drives_on(kind: Kind) -> None:
     walker = driving(
         "walker", 60.0, -6.0, 0.0, 1.2, kind=AgentKind.PEDESTRIAN, length=0.5, width=0.5
     )
@@ -103,14 +103,14 @@ def test_it_lets_a_pedestrian_cross_and_goes_on(kind: Kind) -> None:
 
 
 @every
-def test_behind_one_who_stands_it_stays(kind: Kind) -> None:
+def test_the_ego_stays_behind_a_standing_leader(kind: Kind) -> None:
     lead = standing("lead", CAR.axle_to_front + 2.25 + 1.0, 0.0)
     drive = drives(kind, lanes(along_x()), EgoState(0.0, 0.0, 0.0, 0.0, 0.0), lead, seconds=3.0)
     assert max(now.ego.x for now, _ in drive) < 0.05
 
 
 @every
-def test_out_of_the_lines_frame_it_stops(kind: Kind) -> None:
+def test_outside_the_lines_frame_the_ego_stops(kind: Kind) -> None:
     road, ego = lanes(along_x()), EgoState(0.0, 0.0, 0.0, 1.5, 5.0)
     plan = kind(PlannerContext(road, None, CAR, 0.1, ego)).plan(frame(ego))
     assert plan.status.is_fallback and plan.trajectory.v[-1] == 0.0

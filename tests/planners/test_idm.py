@@ -74,7 +74,7 @@ def test_the_free_terms_below_and_above_the_wanted_speed_join(v0: float) -> None
     assert below == pytest.approx(above, abs=1e-6)
 
 
-def test_it_stops_before_what_stands_and_says_so() -> None:
+def test_the_ego_stops_before_a_standing_agent_and_records_it() -> None:
     drive = drives(
         lanes(along_x()),
         EgoState(0.0, 0.0, 0.0, 0.0, 12.0),
@@ -87,7 +87,7 @@ def test_it_stops_before_what_stands_and_says_so() -> None:
     assert min(plan.trajectory.a.min() for _, plan in drive) > -4.0
 
 
-def test_who_follows_or_drives_beside_is_no_leader() -> None:
+def test_followers_and_agents_beside_are_no_leaders() -> None:
     points = along_x()
     road = Road(
         {0: strip(0, points, left_neighbour=1), 1: strip(1, beside(points, 3.5), right_neighbour=0)}
@@ -100,7 +100,7 @@ def test_who_follows_or_drives_beside_is_no_leader() -> None:
     )
 
 
-def test_from_an_offset_it_returns_to_the_middle_smoothly() -> None:
+def test_the_ego_returns_smoothly_from_an_offset() -> None:
     drive = drives(lanes(along_x()), EgoState(0.0, 0.0, 1.2, 0.05, 10.0), seconds=14.0)
     offset = np.array([now.ego.y for now, _ in drive])
     assert abs(offset[-1]) < 0.05

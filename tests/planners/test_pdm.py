@@ -85,7 +85,7 @@ def test_less_room_or_a_slower_leader_never_accelerate(
 
 
 @given(SPEED, st.lists(st.floats(1.0, 30.0), min_size=2, max_size=6), st.floats(5.0, 120.0), SPEED)
-def test_who_wants_to_be_faster_is_never_behind(
+def test_a_higher_wanted_speed_never_falls_behind(
     v: float, speeds: list[float], gap: float, lead: float
 ) -> None:
     """More speed limit never reorders the proposals of a track, with and without a leader."""
@@ -109,7 +109,7 @@ def test_an_offset_is_undone(l: float, yaw: float, v: float) -> None:
 
 
 @given(st.floats(-1.5, 1.5), st.floats(-0.2, 0.2), SPEED, st.floats(-3.0, 1.5), SPEED)
-def test_what_is_simulated_is_drivable_and_its_mirror_image_mirrored(
+def test_simulated_proposals_are_drivable_and_mirror_with_the_world(
     l: float,
     yaw: float,
     v: float,
@@ -158,7 +158,7 @@ def test_a_contact_in_front_is_the_egos_fault_when_the_boxes_touch(v: float, x: 
         assert found.total[0] == 0.0
 
 
-def test_who_comes_from_behind_or_touches_the_ego_now_is_not_its_fault() -> None:
+def test_contacts_from_behind_or_at_the_start_are_not_at_fault() -> None:
     for other in (driving("follower", -12.0, 0.0, 20.0), standing("here", 2.0, 1.0)):
         found = at_speed(5.0, other)
         assert part(found, "no collision") == 1.0
@@ -179,7 +179,7 @@ def test_one_second_to_a_contact_is_too_close() -> None:
     assert part(at_speed(10.0, standing("near", gap + 8.5, 0.0)), "time to collision") == 0.0
 
 
-def test_off_the_road_and_against_the_traffic() -> None:
+def test_leaving_the_road_and_driving_against_traffic_lower_the_score() -> None:
     rows = np.zeros((2, 6, 41))
     rows[:, 0] = 8.0 * STEP_S * np.arange(41)
     rows[:, 3] = 8.0
@@ -234,7 +234,7 @@ def test_the_predictions_of_the_loop_do_not_change_a_plan() -> None:
     np.testing.assert_array_equal(one.x, two.x)
 
 
-def test_it_passes_a_parked_car_by_an_offset() -> None:
+def test_a_parked_car_is_passed_at_an_offset() -> None:
     drive = drives(
         lanes(along_x()),
         EgoState(0.0, 0.0, 0.0, 0.0, 8.0),
@@ -245,7 +245,7 @@ def test_it_passes_a_parked_car_by_an_offset() -> None:
     assert drive[-1][0].ego.x > 80.0
 
 
-def test_slowly_before_a_contact_it_brakes() -> None:
+def test_a_slow_ego_brakes_before_a_contact() -> None:
     ego = EgoState(0.0, 0.0, 0.0, 0.0, 4.5)
     now = frame(ego, [standing("wall", CAR.axle_to_front + 3.0, 0.0, length=1.0, width=6.0)])
     plan = pdm(lanes(along_x()), ego).plan(now)

@@ -169,7 +169,7 @@ def own_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path
         del sys.modules[name]
 
 
-def test_a_planner_of_the_users_own_is_found_in_the_working_directory(own_module: Path) -> None:
+def test_a_users_planner_is_found_in_the_working_directory(own_module: Path) -> None:
     (own_module / "mine_a.py").write_text(
         "from replan.planners.constant_speed import ConstantSpeed as MyPlanner\n"
     )

@@ -85,7 +85,7 @@ def test_both_solvers_reach_the_same_cost(matrix: int, vector: int) -> None:
 
 @given(SEED, SEED, st.floats(-3.0, 3.0))
 @settings(max_examples=40)
-def test_what_is_called_solved_keeps_its_bounds(matrix: int, vector: int, exponent: float) -> None:
+def test_a_solved_problem_keeps_its_bounds(matrix: int, vector: int, exponent: float) -> None:
     """However loose the solver's own tolerance is."""
     config = QPConfig(eps=10.0**exponent, tolerance=1e-3)
     solver, _, A = program(matrix, config)
@@ -99,7 +99,7 @@ def test_what_is_called_solved_keeps_its_bounds(matrix: int, vector: int, expone
 @pytest.mark.parametrize("config", [QPConfig(), SURE, FAST], ids=["default", "piqp", "osqp"])
 @given(matrix=SEED, vector=SEED, before=st.lists(SEED, min_size=1, max_size=3))
 @settings(max_examples=20)
-def test_a_fresh_solve_knows_nothing_of_others(
+def test_a_fresh_solve_does_not_depend_on_others(
     config: QPConfig, matrix: int, vector: int, before: list[int]
 ) -> None:
     used, _, A = program(matrix, config)
@@ -157,7 +157,7 @@ def test_an_unbounded_problem_is_not_solved() -> None:
     assert not solver.solve(np.ones(2), -free, free, fresh=True).report.solved
 
 
-def test_the_report_says_which_row_crosses_and_who_solved() -> None:
+def test_the_report_names_the_crossing_row_and_the_solver() -> None:
     solver, _, A = program(1, SURE)
     data = vectors(A, 2)
     assert "row 4" in solver.solve(*broken("bounds cross", data), fresh=True).report.status

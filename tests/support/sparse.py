@@ -106,7 +106,7 @@ LATER = {
     "planners/dp_qp/test_dp_qp.py::test_a_mirrored_world_has_the_mirrored_plan": 3,  # 5 s, 22
     "planners/dp_qp/test_dp_qp.py::test_a_moved_world_has_the_moved_plan": 3,  # 3 s, 22
     # 2 s, 18
-    "planners/dp_qp/test_dp_qp.py::test_odd_starts_and_roads_are_planned_or_honestly_not": 3,
+    "planners/dp_qp/test_dp_qp.py::test_odd_starts_and_roads_give_a_plan_or_a_reason": 3,
     "planners/dp_qp/test_dp_qp.py::test_the_ego_stops_behind_a_standing_car_and_stays": 2,  # 2 s, 2
     "planners/dp_qp/test_memory.py::test_the_same_scene_and_memory_give_the_same_plan_and_memory": 2,  # 2 s, 2
     "planners/dp_qp/test_degenerate_scenes.py::test_an_obstacle_in_the_centre_of_the_turn_is_driven_round": 3,  # 2 s, 3
@@ -114,18 +114,18 @@ LATER = {
     "planners/dp_qp/test_degenerate_scenes.py::test_a_loop_beyond_a_full_turn_is_driven_round": 2,
     "planners/dp_qp/test_oncoming_lane.py::test_a_queue_is_not_overtaken": 0,  # 1 s
     # 1 s
-    "planners/dp_qp/test_oncoming_lane.py::test_who_waits_before_a_junction_is_not_overtaken": 0,
-    "planners/dp_qp/test_moving_obstacles.py::test_a_follower_in_the_lane_beside_need_not_brake": 0,  # 2 s
+    "planners/dp_qp/test_oncoming_lane.py::test_an_agent_that_waits_before_a_junction_is_not_passed": 0,
+    "planners/dp_qp/test_moving_obstacles.py::test_a_follower_in_the_neighbouring_lane_need_not_brake_hard": 0,  # 2 s
     "planners/test_blind.py::test_a_drive_does_not_depend_on_how_often_it_is_planned": 2,  # 1 s, 6
     "planners/piecewise_jerk/test_piecewise_jerk.py::test_without_the_compiler_the_answers_are_the_same": 0,  # 1 s
     # 4 s, 22
-    "planners/dp_qp/test_ties.py::test_plans_of_the_catalogue_do_not_hang_on_rounding": 4,
+    "planners/dp_qp/test_ties.py::test_plans_of_the_catalogue_do_not_depend_on_rounding": 4,
     # 3 s, 2
-    "planners/dp_qp/test_moving_obstacles.py::test_no_one_is_passed_where_the_ego_has_to_wait": 2,
+    "planners/dp_qp/test_moving_obstacles.py::test_no_agent_is_passed_near_a_waiting_place": 2,
     "planners/dp_qp/test_moving_obstacles.py::"
-    "test_a_free_lane_beside_is_borrowed_for_them_and_the_record_says_so": 0,  # 2 s
+    "test_a_free_neighbouring_lane_is_borrowed_and_recorded": 0,  # 2 s
     "planners/dp_qp/speed/test_caps.py::"
-    "test_the_order_that_is_taken_costs_least_and_the_solution_keeps_what_is_said": 2,  # 3 s, 2
+    "test_the_chosen_order_costs_least_and_its_reason_states_the_gap": 2,  # 3 s, 2
     # 4 s, 4
     "planners/rules/test_planner_rules.py::test_a_large_gap_is_taken_and_a_small_one_not": 4,
     # 3 s, 4

@@ -86,16 +86,16 @@ class InTheWay:
     # Station at which to wait until that lane is free, m; inf if there is no need
     wait: float = np.inf
 
-    def and_moving(self, more: InTheWay) -> InTheWay:
+    def and_moving(self, moving: InTheWay) -> InTheWay:
         """Add moving agents to pass; the lanes beside must be free for all."""
-        if not more.obstacles:
+        if not moving.obstacles:
             return self
-        both = tuple(
-            sorted((*self.obstacles, *more.obstacles), key=lambda box: (box.s_from, box.agent))
+        obstacles = tuple(
+            sorted((*self.obstacles, *moving.obstacles), key=lambda box: (box.s_from, box.agent))
         )
-        left, right = self.left and more.left, self.right and more.right
+        left, right = self.left and moving.left, self.right and moving.right
         return replace(
-            self, obstacles=both, left=left, right=right, facing=self.facing | more.facing
+            self, obstacles=obstacles, left=left, right=right, facing=self.facing | moving.facing
         )
 
 
@@ -142,9 +142,9 @@ def standing_obstacles(
     left, right = (
         (road.facing_left, road.facing_right) if facing else (road.road_left, road.road_right)
     )
-    near = ego.x, ego.y, length + NEAR_PATH_M
+    circle = ego.x, ego.y, length + NEAR_PATH_M
     rows, boxes = _standing_boxes(
-        line.s, line.coef, scene.bodies, scene.standing, scene.agents.s, left, right, near
+        line.s, line.coef, scene.bodies, scene.standing, scene.agents.s, left, right, circle
     )
     begin, end = scene.rear, scene.front + length
     boxes_ahead = [
@@ -164,21 +164,21 @@ def _standing_boxes(
     s: FloatArray,
     left: FloatArray,
     right: FloatArray,
-    near: tuple[float, float, float],
+    circle: tuple[float, float, float],
 ) -> tuple[IntArray, FloatArray]:
     """The agents that stand on the road or near its edge `(b,)`; their stations and offsets, from
     and to `(b, 4)`, m.
 
     The extents come from the projections of the corners and of the middles of the sides, since a
     curve bulges between corners. `s` are the stations of all agents `(n,)`, `left` and `right` the
-    road's edges there, `near` a point x, y and the radius around it in which agents are considered,
-    m.
+    road's edges there, `circle` a point x, y and the radius around it in which agents are
+    considered, m.
     """
     x, y, length = bodies.x, bodies.y, bodies.length
     rows, boxes = np.empty(len(x), np.int64), np.empty((len(x), 4))
     count = 0
     for i in range(len(x)):
-        if not standing[i] or hypot(x[i] - near[0], y[i] - near[1]) >= near[2]:
+        if not standing[i] or hypot(x[i] - circle[0], y[i] - circle[1]) >= circle[2]:
             continue
         outline = corners(x[i], y[i], bodies.yaw[i], length[i], bodies.width[i])
         guess = s[i]
@@ -249,14 +249,14 @@ def free_sides(scene: Scene, config: CorridorConfig) -> tuple[bool, bool]:
     ego.
     """
     ahead = scene.agents.s - scene.s
-    near = (
+    is_near = (
         ~scene.standing & (ahead > -config.neighbour_behind_m) & (ahead < config.neighbour_ahead_m)
     )
-    if not near.any():
+    if not is_near.any():
         return True, True
     road, l, half = scene.road, scene.agents.l, 0.5 * scene.bodies.width
-    on_left = near & (road.lane_left - half < l) & (l < road.road_left + half)
-    on_right = near & (road.road_right - half < l) & (l < road.lane_right + half)
+    on_left = is_near & (road.lane_left - half < l) & (l < road.road_left + half)
+    on_right = is_near & (road.road_right - half < l) & (l < road.lane_right + half)
     return not on_left.any(), not on_right.any()
 
 

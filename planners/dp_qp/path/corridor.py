@@ -207,10 +207,10 @@ def _for_the_nose(points: FloatArray) -> None:
         for k in range(points.shape[1]):
             least = max(least, points[LOWER, k, i] + points[SWING, k, i])
             most = min(most, points[UPPER, k, i] + points[SWING, k, i])
-        more = 0.5 * max(least - most + 0.1, 0.0)  # (2)
+        widening = 0.5 * max(least - most + 0.1, 0.0)  # (2)
         for k in range(points.shape[1]):
-            points[LOWER, k, i] -= more
-            points[UPPER, k, i] += more
+            points[LOWER, k, i] -= widening
+            points[UPPER, k, i] += widening
             points[LEAST, k, i], points[MOST, k, i] = points[LOWER, k, i], points[UPPER, k, i]
 
 
@@ -316,24 +316,24 @@ def loosen_bounds(
             ego.car,
             HARD if hard else COMFORT,
         )
-        reached = np.empty((2, len(ego.leads), n))
+        reach = np.empty((2, len(ego.leads), n))
         forced = -np.inf
         for k in range(len(ego.leads)):
             for i in range(n):
-                reached[0, k, i] = left[0, i] + ego.leads[k] * left[1, i] - points[SWING, k, i]
-                reached[1, k, i] = right[0, i] + ego.leads[k] * right[1, i] - points[SWING, k, i]
+                reach[0, k, i] = left[0, i] + ego.leads[k] * left[1, i] - points[SWING, k, i]
+                reach[1, k, i] = right[0, i] + ego.leads[k] * right[1, i] - points[SWING, k, i]
                 forced = max(
                     forced,
-                    points[LEAST, k, i] - reached[0, k, i],
-                    reached[1, k, i] - points[MOST, k, i],
+                    points[LEAST, k, i] - reach[0, k, i],
+                    reach[1, k, i] - points[MOST, k, i],
                 )
         if hard == 0 or forced < least:
             for k in range(len(ego.leads)):
                 row = X if k == 0 else LEADS + k - 1
                 for i in range(n):
                     # (5)
-                    rows[0, row, i] = min(lower[k, i], reached[0, k, i]) + points[SWING, k, i]
-                    rows[1, row, i] = max(upper[k, i], reached[1, k, i]) + points[SWING, k, i]
+                    rows[0, row, i] = min(lower[k, i], reach[0, k, i]) + points[SWING, k, i]
+                    rows[1, row, i] = max(upper[k, i], reach[1, k, i]) + points[SWING, k, i]
             for i in range(n):
                 rows[0, DX, i], rows[1, DX, i] = min(-MAX_DL, left[1, i]), max(MAX_DL, right[1, i])
                 rows[0, DDX, i], rows[1, DDX, i] = bend[0, i], bend[1, i]
@@ -511,9 +511,9 @@ def steering_bounds(
         bounds[0, i], bounds[1, i] = _bend_bounds(bend, kappa[i], offset[i])
         aim = max(SHARE * bend, min(bend, 1.02 * abs(kappa[i])))
         aims[0, i], aims[1, i] = _bend_bounds(aim, kappa[i], offset[i])
-        before, quickest = quickest, min(car[1] / fast, SHARPEST)
+        quickest_before, quickest = quickest, min(car[1] / fast, SHARPEST)
         if i > 0:
-            rate, turning = min(before, quickest), (kappa[i] - kappa[i - 1]) / step  # (7)
+            rate, turning = min(quickest_before, quickest), (kappa[i] - kappa[i - 1]) / step  # (7)
             rates[0, i - 1], rates[1, i - 1] = -rate - turning, rate - turning
             share[0, i - 1], share[1, i - 1] = -SHARE * rate - turning, SHARE * rate - turning
     left = _reach(start, aims[1], share[0], share[1], step)

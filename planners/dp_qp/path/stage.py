@@ -203,7 +203,7 @@ class PathStage:
         return chosen, PathMemory(standing, sides)
 
     def _task(
-        self, scene: Scene, before: Mapping[str, float], moving: InTheWay | None
+        self, scene: Scene, standing_since: Mapping[str, float], moving: InTheWay | None
     ) -> tuple[_Task, InTheWay, Mapping[str, float]]:
         """The corridor without obstacles, the agents in the way, and the time since which each has
         stood there.
@@ -219,9 +219,9 @@ class PathStage:
             suited, leads = length / self._horizon - 5.0, tuple(self._leads)
             self._programs[length] = PathQp(length, suited, leads, self._config.qp, self._solver)
         program = self._programs[length]
-        in_the_way, standing = self._in_the_way(scene, length, before)
+        in_the_way, standing = self._in_the_way(scene, length, standing_since)
         sides = self._goal.sides(scene.s, scene.s + length + car.axle_to_front)
-        near = (
+        standing_spans = (
             np.array([(box.s_from, box.s_to) for box in in_the_way.obstacles])
             if in_the_way.obstacles and sides.size
             else NO_ONE
@@ -240,7 +240,7 @@ class PathStage:
             program.middle,
             bounds.borrowed_road(in_the_way, speed, car),
             sides,
-            near,
+            standing_spans,
         )
         space = PathBounds(road.points[S], road.points[LOWER], road.points[UPPER])
         problem = program.stated(np.array(scene.frenet), road.references, road.rows)
@@ -261,8 +261,8 @@ class PathStage:
             result = task.program.solve(problem)
             in_bounds, reports = result.report.solved, (*reports, result.report)
             if not in_bounds:
-                result, problem, more = self._softly(task, narrow, problem)
-                reports = (*reports, *more)
+                result, problem, soft_reports = self._softly(task, narrow, problem)
+                reports = (*reports, *soft_reports)
             if not result.report.solved:
                 return _Solution(None, result.x, decisions, narrow, problem, reports, {})
             offsets = result.x.reshape(3, -1)
@@ -289,33 +289,33 @@ class PathStage:
         reports: tuple[SolverReport, ...] = (result.report,)
         for _ in range(RELINEARISED if result.report.solved else 0):
             nearer = self._problem(task, space, result.x.reshape(3, -1)[0])
-            again = task.program.solve(nearer, softly=True)
-            reports = (*reports, again.report)
-            if not again.report.solved:
+            nearer_result = task.program.solve(nearer, softly=True)
+            reports = (*reports, nearer_result.report)
+            if not nearer_result.report.solved:
                 break
-            moved = float(np.abs(again.x - result.x).max())
-            result, problem = again, nearer
+            moved = float(np.abs(nearer_result.x - result.x).max())
+            result, problem = nearer_result, nearer
             if moved < MOVED_M:
                 break
         return result, problem, reports
 
-    def _problem(self, task: _Task, space: PathBounds, near: FloatArray) -> PiecewiseJerkProblem:
+    def _problem(self, task: _Task, space: PathBounds, offsets: FloatArray) -> PiecewiseJerkProblem:
         """The path QP in bounds, loosened to what steering can keep.
 
-        The curvature's bounds are at offsets `near`.
+        The curvature's bounds are at offsets `offsets`.
         """
         road, program = task.road, task.program
-        asked = loosen_bounds(
+        loosened = loosen_bounds(
             road.along,
             road.points,
             space.lower,
             space.upper,
-            near,
+            offsets,
             task.ego,
             program.step,
             program.middle,
         )
-        return program.stated(task.problem.start, *asked)
+        return program.stated(task.problem.start, *loosened)
 
     def _in_the_way(
         self, scene: Scene, length: float, standing: Mapping[str, float]
@@ -331,8 +331,10 @@ class PathStage:
         in_the_way = InTheWay(obstacles, *bounds.free_sides(scene, config))
         if not may_block(scene, obstacles):
             return in_the_way, since
-        near = scene.s + np.arange(0.0, length, 2.0) + np.zeros((1, 1))
-        space = bounds.lane_bounds(scene.reference, near, in_the_way, scene.start.v, car, config)
+        stations = scene.s + np.arange(0.0, length, 2.0) + np.zeros((1, 1))
+        space = bounds.lane_bounds(
+            scene.reference, stations, in_the_way, scene.start.v, car, config
+        )
         # Agents that will not drive on soon: objects, and those that have stood long and are in no
         # queue
         stay = []
@@ -352,7 +354,7 @@ class PathStage:
         return replace(in_the_way, obstacles=obstacles, facing=by_oncoming, wait=wait), since
 
     def _sides(
-        self, scene: Scene, task: _Task, in_the_way: InTheWay, before: Mapping[str, float]
+        self, scene: Scene, task: _Task, in_the_way: InTheWay, last_sides: Mapping[str, float]
     ) -> tuple[SlGrid | None, tuple[Decision, ...]]:
         """The side on which each obstacle is passed.
 
@@ -371,7 +373,7 @@ class PathStage:
                 box.s_to + car.rear_overhang + gap,
                 box.l_from - side,
                 box.l_to + side,
-                before.get(box.agent, 0.0),
+                last_sides.get(box.agent, 0.0),
             )
             for box in in_the_way.obstacles
         ]

@@ -267,9 +267,9 @@ def swerve_caps(view: PathView) -> tuple[SpeedCap, ...]:
     path, line = view.path, view.scene.reference.line
     swerved = np.abs(path.kappa - np.interp(path.s, line.s, line.kappa))
     v = np.sqrt(SWERVE_MPS2 / np.maximum(swerved, 1e-6))  # (7)
-    before = np.r_[-np.inf, path.sigma[:-1]]
+    begins = np.r_[-np.inf, path.sigma[:-1]]
     return tuple(
-        SpeedCap(float(before[i]), float(path.sigma[i]), float(v[i]), is_bound=False)
+        SpeedCap(float(begins[i]), float(path.sigma[i]), float(v[i]), is_bound=False)
         for i in np.flatnonzero(v < view.limit)
     )
 
@@ -319,16 +319,16 @@ def hidden_ground_caps(view: PathView) -> tuple[SpeedCap, ...]:
     """(5) beside hidden ground, up to the first agent that takes the path; (4) for the sensor's
     range.
     """
-    seen, scene = view.scene.frame.visibility, view.scene
-    if seen is None:
+    view_field, scene = view.scene.frame.visibility, view.scene
+    if view_field is None:
         return ()
     front, until = (
         scene.vehicle.axle_to_front,
         min(view.taken.first + scene.vehicle.axle_to_front, LOOK_M),
     )
-    caps = [SpeedCap(-inf, inf, stopping_speed(seen.range, view.hard_mps2))]
+    caps = [SpeedCap(-inf, inf, stopping_speed(view_field.range, view.hard_mps2))]
     for s, d in hidden_beside(
-        view.path, seen, scene.frame.agents, scene.vehicle, until, view.caution.walk_mps
+        view.path, view_field, scene.frame.agents, scene.vehicle, until, view.caution.walk_mps
     ):
         v = avoidable_speed(d - PERSON_M, view.caution.walk_mps, view.hard_mps2)
         where = f"{s - front:.0f} m ahead, {d:.1f} m beside"
@@ -360,8 +360,8 @@ def hidden_beside(
     """
     shadows = view.shadows
     if len(agents):
-        near = 0.5 * (shadows[:, 0] + shadows[:, 3])
-        away = np.hypot(near[:, :1] - agents.x, near[:, 1:] - agents.y)
+        middle = 0.5 * (shadows[:, 0] + shadows[:, 3])
+        away = np.hypot(middle[:, :1] - agents.x, middle[:, 1:] - agents.y)
         caster = np.argmin(away, axis=1)
         shadows = shadows[
             ~((agents.speed[caster] > walk) & (away.min(axis=1) < agents.length[caster]))

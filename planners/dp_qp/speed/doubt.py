@@ -72,7 +72,7 @@ class Seen(NamedTuple):
 def weights(scene: Scene, path: Path, rows: StBoundaries) -> FloatArray:
     """The weights p and p_turn of the rows `(2, n)`."""
     agents, line, car = scene.frame.agents, scene.reference.line, scene.vehicle
-    seen = Seen(
+    visibility = Seen(
         agents.age, agents.unseen, agents.velocity_sigma, _brakes(agents.accel), _walks(scene)
     )
     swept, ego = SweptPath(path.sigma, path.x, path.y, path.yaw), (car.axle_to_front, car.width)
@@ -81,7 +81,7 @@ def weights(scene: Scene, path: Path, rows: StBoundaries) -> FloatArray:
         rows.agent,
         rows.lower,
         rows.probability,
-        seen,
+        visibility,
         scene.agents,
         scene.bodies,
         line.s,
@@ -110,12 +110,12 @@ def _weights(
     """`weights`; `t` to `probability` belong to the rows, `knots` and `coef` to the reference;
     `ego`: front and width, m.
     """
-    weights, last = np.empty((2, len(agent))), inf
+    weights, least_since = np.empty((2, len(agent))), inf
     age, unseen = seen.age, seen.unseen
     walks, length = seen.walks, bodies.length
     width = bodies.width
     for since in unseen:
-        last = min(last, inf if isnan(since) else since)
+        least_since = min(least_since, inf if isnan(since) else since)
     for i in range(len(agent)):
         row = agent[i]
         weights[:, i] = min(probability[i] / (2.0 * UNLIKELY), 1.0)  # (1)
@@ -134,7 +134,7 @@ def _weights(
             weights[:, i] *= (
                 1.0 if isnan(age[row]) else min(max(age[row] / AGE_S, LEAST), 1.0)
             )  # (2)
-        weights[:, i] *= 1.0 if isnan(unseen[row]) else exp((last - unseen[row]) / UNSEEN_S)
+        weights[:, i] *= 1.0 if isnan(unseen[row]) else exp((least_since - unseen[row]) / UNSEEN_S)
         if d > 0.0 and not walks[row]:
             leaves, v, b = t[taken[-1]], hypot(along.v_s[row], along.v_l[row]), seen.brakes[row]
             stands = max(v, TIE) / b if b > 0.0 else inf

@@ -379,8 +379,8 @@ class SpeedStage:
                 kind, reason = DecisionKind.YIELD, f"{reason}; the ego cannot be there first"
             reason = f"{reason}; {DOUBTED}" if doubted[i] else reason
             if kind in ORDERS:
-                known = {decision.kind: float(drawn.cost[-1].min())} if len(drawn.cost) else {}
-                reason = f"{reason}; {self._orders(on_path, planned, i, kind, known)}"
+                known_cost = {decision.kind: float(drawn.cost[-1].min())} if len(drawn.cost) else {}
+                reason = f"{reason}; {self._orders(on_path, planned, i, kind, known_cost)}"
             decisions.append(replace(decision, kind=kind, reason=reason))
         profile, was_run = solved.profile, len(drawn.cost) > 0
         grid = None
@@ -425,15 +425,15 @@ class SpeedStage:
         planned: _Planned,
         i: int,
         kind: DecisionKind,
-        known: Mapping[DecisionKind, float],
+        known_cost: Mapping[DecisionKind, float],
     ) -> str:
         """The distance by which the solution clears a boundary, and the cost of each order in the
         speed DP.
         """
-        blocks, profile, costs = planned.blocks, planned.solved.profile, dict(known)
+        blocks, profile, costs = planned.blocks, planned.solved.profile, dict(known_cost)
         took = np.isfinite(blocks.lower[i])
         for order, (_, bound) in ORDERS.items():
-            if order not in known:
+            if order not in known_cost:
                 lower, upper = blocks.lower.copy(), blocks.upper.copy()
                 (upper if order is DecisionKind.YIELD else lower)[i, took] = bound
                 cost = self._build(

@@ -50,7 +50,7 @@ stations = st.floats(2.0, 80.0)
 
 @given(speeds, stations, st.floats(0.0, 4.0), st.floats(0.2, 6.0))
 @settings(max_examples=60, deadline=None)
-def test_a_plan_that_is_no_last_resort_has_no_contact(
+def test_a_plan_without_last_resort_has_no_contact(
     v: float, s: float, begin: float, lasts: float
 ) -> None:
     blocks = blocked(s, s + 6.0, begin, begin + lasts)
@@ -65,7 +65,7 @@ def test_a_plan_that_is_no_last_resort_has_no_contact(
 
 @given(speeds, stations)
 @settings(max_examples=40, deadline=None)
-def test_where_comfort_suffices_it_is_comfortable(v: float, s: float) -> None:
+def test_braking_is_comfortable_where_that_suffices(v: float, s: float) -> None:
     blocks = blocked(s, s + 6.0, 0.0, 8.0)
     soft = CONFIG.comfort.braking((v, 0.0), CONFIG.knots, share=0.85)
     found = solved(v, blocks)
@@ -76,7 +76,7 @@ def test_where_comfort_suffices_it_is_comfortable(v: float, s: float) -> None:
 
 @given(speeds, stations, st.floats(0.3, 3.0), st.booleans())
 @settings(max_examples=30, deadline=None)
-def test_what_was_solved_before_changes_nothing(
+def test_earlier_solves_do_not_change_a_solution(
     v: float, s: float, before: float, full: bool
 ) -> None:
     """The same case twice gives the same bits, whatever the ladder solved in between."""

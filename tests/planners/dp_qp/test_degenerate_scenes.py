@@ -135,7 +135,7 @@ def test_a_lane_without_width_is_driven_along_its_middle(width: float, v: float)
 @pytest.mark.slow
 @given(st.floats(-0.1, 0.6), st.floats(-0.3, 0.3), st.floats(5.0, 9.0))
 @settings(max_examples=6)
-def test_between_two_parked_cars_it_drives_through_or_stops_before(
+def test_a_gap_between_parked_cars_is_driven_through_or_stopped_before(
     spare: float, l: float, v: float
 ) -> None:
     """The gap is the ego's width and `spare` to each side: never a touch, and a stop is
@@ -162,7 +162,7 @@ def test_between_two_parked_cars_it_drives_through_or_stops_before(
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_500_others_are_survived(seed: int) -> None:
+def test_a_scene_with_500_agents_is_planned(seed: int) -> None:
     """Anywhere, some of them on the ego, standing and driving."""
     rng = np.random.default_rng(seed)
     x, y, speed, yaw = (

@@ -245,7 +245,7 @@ def test_a_plan_goes_on_where_the_ego_follows(off: dict[str, float], start: Plan
     assert column(plan, "v")[0] == pytest.approx(origin.v, abs=0.02)
 
 
-def test_the_internals_are_all_there() -> None:
+def test_a_plan_has_graphs_decisions_costs_and_reports() -> None:
     """Also the path DP: the box can be passed on either side, so that it had to decide."""
     plan = planner(TWO, EGO).plan(
         frame(EGO, (standing("box", 35.0, 1.75, length=0.5, width=0.5), *CROWD[1:3]))
@@ -307,7 +307,7 @@ def is_doubted(decision: Decision) -> bool:
 
 @given(st.floats(0.0, 14.0), traffic())
 @settings(max_examples=50)
-def test_a_plan_touches_no_one_who_is_believed_or_says_that_it_cannot_be_avoided(
+def test_a_plan_touches_no_predicted_agent_unless_its_status_says_so(
     v: float, others: list[Other]
 ) -> None:
     ego = replace(EGO, v=v)
@@ -453,7 +453,7 @@ ODD: dict[str, tuple[EgoState, Road, Sequence[Other]]] = {
 
 
 @pytest.mark.parametrize("name", ODD)
-def test_odd_starts_and_roads_are_planned_or_honestly_not(name: str) -> None:
+def test_odd_starts_and_roads_give_a_plan_or_a_reason(name: str) -> None:
     ego, road, others = ODD[name]
     for _, plan in followed(road, ego, others, seconds=3.0):
         assert_sound(plan)
@@ -491,7 +491,7 @@ STAGES = pytest.mark.parametrize(("program", "stage"), [(PathQp, "path QP"), (Sp
 
 
 @STAGES
-def test_first_the_previous_plan_goes_on(
+def test_the_first_fallback_is_the_rest_of_the_previous_plan(
     program: type, stage: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     driver, previous = one_plan()
@@ -507,7 +507,7 @@ def test_first_the_previous_plan_goes_on(
 
 
 @STAGES
-def test_then_a_comfortable_stop(
+def test_the_second_fallback_is_a_comfortable_stop(
     program: type, stage: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     failing(program, monkeypatch)
@@ -521,7 +521,9 @@ def test_then_a_comfortable_stop(
 
 
 @STAGES
-def test_at_last_a_hard_stop(program: type, stage: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_last_fallback_is_a_hard_stop(
+    program: type, stage: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     failing(program, monkeypatch)
     _, plan = one_plan([standing("it", 16.0, 0.0, width=15.0)])
     assert plan.status is PlanStatus.HARD_STOP and plan.reason.startswith(stage)
@@ -553,7 +555,7 @@ def test_the_rest_of_a_previous_plan_is_driven_to_its_end(monkeypatch: pytest.Mo
     assert ego.v < EGO.v
 
 
-def test_what_cannot_be_avoided_is_braked_for_and_reported() -> None:
+def test_an_unavoidable_contact_is_braked_for_and_reported() -> None:
     _, plan = one_plan([standing("it", 9.0, 0.0, width=9.0)])
     assert plan.status is PlanStatus.HARD_STOP and "full braking comes" in plan.reason
     assert column(plan, "a").min() == pytest.approx(-CAR.max_decel, abs=0.2)
@@ -599,7 +601,7 @@ def test_an_unlikely_hypothesis_binds_only_where_moderate_braking_would_come_too
 @pytest.mark.parametrize(
     "config", [LaneConfig(), LaneConfig(route_s=2.0, urgency_s=3.0, change_s=4.0)]
 )
-def test_what_a_lane_costs_at_least_is_weighted_by_settings(config: LaneConfig) -> None:
+def test_the_least_costs_of_a_lane_follow_the_settings(config: LaneConfig) -> None:
     """A change that is not due for long costs `route_s`, one that is due now `urgency_s` more."""
     context = PlannerContext(ONE, None, CAR, PERIOD, EGO)
     strip = LaneSequences(context).start(EGO)

@@ -47,9 +47,7 @@ def test_the_target_is_never_too_slow_and_late_and_early_exclude_each_other(
 
 
 @given(st.floats(0.1, 40.0), st.floats(0.0, 180.0), st.floats(0.0, 20.0))
-def test_who_is_late_is_in_a_hurry_and_an_hour_later_is_as_late_by_an_hour(
-    last: float, s: float, v: float
-) -> None:
+def test_a_late_ego_hurries_and_lateness_grows_with_time(last: float, s: float, v: float) -> None:
     sooner, later = (window((0.0, last)).target(t, s, v) for t in (0.0, 0.5 * last))
     assert sooner.hurried or sooner.missed_s == 0.0
     if sooner.missed_s > 0.0:
@@ -63,9 +61,7 @@ def sides(goal: Goal, stations: FloatArray) -> FloatArray:
 
 
 @given(st.floats(-3.0, 3.0), st.floats(0.2, 5.0), st.floats(-0.3, 0.3))
-def test_the_sides_are_those_of_the_region_where_it_is_and_none_elsewhere(
-    y: float, width: float, turn: float
-) -> None:
+def test_the_goals_sides_hold_beside_its_region_only(y: float, width: float, turn: float) -> None:
     c, s = np.cos(turn), np.sin(turn)
     square = np.array([[-10.0, -0.5], [10.0, -0.5], [10.0, 0.5], [-10.0, 0.5]]) * (1.0, width)
     square = square @ np.array([[c, s], [-s, c]]) + (200.0, y)
@@ -103,7 +99,7 @@ def drive_to(region: np.ndarray | None, t: tuple[float, float], road: Road, v: f
 
 
 @pytest.mark.parametrize("at", [10.0, pytest.param(40.0, marks=pytest.mark.slow)])
-def test_who_has_to_be_anywhere_at_a_time_is_still_on_the_road_then(at: float) -> None:
+def test_a_goal_with_a_time_and_no_place_keeps_the_ego_on_the_road(at: float) -> None:
     trace = drive_to(None, (at - 0.1, at), lanes(along_x(-20.0, 120.0)), 12.0)
     assert trace.end is EndReason.GOAL
     assert trace.ego.x[-1] + CAR.axle_to_front < 120.0
@@ -125,7 +121,7 @@ def rectangle(x: float, y: float, length: float, width: float, turn: float = 0.0
     return corners @ np.array([[c, s], [-s, c]]) + (x, y)
 
 
-def test_of_two_regions_the_one_in_the_lane_is_met_and_between_them_the_middle_is_kept() -> None:
+def test_of_two_regions_that_in_the_lane_is_met() -> None:
     near, far = rectangle(83.0, 1.0, 6.0, 1.0), rectangle(403.0, 1.0, 6.0, 1.0)
     low, high = sides(
         Goal((far, near)), np.array([COURSE.line.project(x, 0.0)[0] for x in (83.0, 200.0, 343.0)])

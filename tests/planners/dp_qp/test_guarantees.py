@@ -114,7 +114,7 @@ def recorded(monkeypatch: pytest.MonkeyPatch) -> list[Recorded]:
         ("everyday/cyclist", {}, "sensor"),
     ],
 )
-def test_where_the_ego_could_stop_for_others_it_is_not_faster(
+def test_a_possible_stop_bounds_the_speed(
     name: str, changed: Mapping[str, float], perception: str, recorded: list[Recorded]
 ) -> None:
     """Beside hidden ground, beside who hesitates, beside who goes along the lane."""

@@ -132,7 +132,7 @@ def test_the_same_scene_and_memory_give_the_same_plan_and_memory(
     st.integers(0, 4),
     st.lists(st.one_of(st.integers(-1, 0), st.just(slice(None)), st.none()), max_size=5),
 )
-def test_internals_are_built_once_and_only_for_who_looks(
+def test_internals_are_built_once_and_on_demand(
     count: int, looks: list[int | slice | None]
 ) -> None:
     report, built = SolverReport("a stage", True, "solved", 3, 0.0, 0.0), []
@@ -154,7 +154,7 @@ def driven() -> Drive:
     return followed(TWO, EGO, CROWD, seconds=2.0)
 
 
-def test_what_is_looked_at_late_is_what_was_there_at_once() -> None:
+def test_internals_that_are_read_late_equal_those_read_at_once() -> None:
     """The plans of a drive, each looked at when it was made; and all of them after the drive."""
     driver, eager = planner(TWO, EGO), []
     late = driven()

@@ -70,7 +70,7 @@ def goer(
     ],
     ids=["stands", "fast", "crosses", "oncoming", "car", "motorcycle", "beside the road", "behind"],
 )
-def test_who_is_not_meant(who: Other) -> None:
+def test_only_slow_agents_along_the_lane_are_passed(who: Other) -> None:
     assert find_slow_agents(scene(COURSE, EGO, [who])) == []
 
 
@@ -81,7 +81,7 @@ def test_who_is_not_meant(who: Other) -> None:
     st.floats(-1.2, 1.2),
     st.floats(-0.1, 0.1),
 )
-def test_the_box_holds_them_while_they_are_beside(
+def test_the_box_holds_the_agent_while_the_ego_is_beside_it(
     ahead: float, u: float, more: float, y: float, aside: float
 ) -> None:
     x = EGO.x + CAR.axle_to_front + ahead + 0.5 * LENGTH
@@ -107,13 +107,15 @@ def test_the_box_holds_them_while_they_are_beside(
     assert one.begin - AT <= ahead + u * t[beside][0] + NEAR_M + 1.0
 
 
-def test_who_cannot_be_passed_within_the_predictions_is_not_passed() -> None:
+def test_an_agent_is_passed_within_the_predictions_or_not_at_all() -> None:
     now = scene(COURSE, EGO, [goer(60.0, 0.0, 6.5)])
     assert pass_targets(now, [0], free_stations(now.frame.predictions.t, AT, 7.0, 7.0)) == ()
 
 
 @given(st.floats(1.0, 3.0), st.sampled_from([AgentKind.BICYCLE, AgentKind.PEDESTRIAN]))
-def test_the_more_room_the_faster_and_beside_them_only(room: float, kind: AgentKind) -> None:
+def test_more_room_permits_more_speed_and_only_beside_the_agent(
+    room: float, kind: AgentKind
+) -> None:
     """Who comes into the way with w is passed, or the ego stops before them: wherever it is when
     they do.
     """
@@ -227,7 +229,7 @@ def hardest(trace: Trace) -> tuple[float, float]:
 @pytest.mark.parametrize(
     "kind", [AgentKind.BICYCLE, pytest.param(AgentKind.PEDESTRIAN, marks=pytest.mark.slow)]
 )
-def test_in_a_wide_lane_they_are_passed_with_room(side: float, kind: AgentKind) -> None:
+def test_agents_in_a_wide_lane_are_passed_with_room(side: float, kind: AgentKind) -> None:
     u = 4.0 if kind is AgentKind.BICYCLE else 1.3
     found = drive(lanes(along_x(-20.0, 400.0), width=5.5), [(40.0, 1.6 * side, u)], kind=kind)
     assert found.before > 10.0 and found.room > 1.4
@@ -237,7 +239,7 @@ def test_in_a_wide_lane_they_are_passed_with_room(side: float, kind: AgentKind) 
         assert found.trace.ego.v.min() > 8.5
 
 
-def test_a_free_lane_beside_is_borrowed_for_them_and_the_record_says_so() -> None:
+def test_a_free_neighbouring_lane_is_borrowed_and_recorded() -> None:
     found = drive(lanes(along_x(-20.0, 400.0), 2), [(40.0, -0.8, 4.0)])
     assert found.before > 10.0 and found.room > 1.4 and found.trace.ego.y.max() < 3.0
     counted = [
@@ -253,7 +255,7 @@ def test_a_free_lane_beside_is_borrowed_for_them_and_the_record_says_so() -> Non
 
 
 @pytest.mark.slow
-def test_where_another_comes_they_are_followed_until_that_one_is_gone() -> None:
+def test_agents_are_followed_until_oncoming_traffic_has_gone() -> None:
     found = drive(
         two_way(),
         [(40.0, -1.0, 3.0)],
@@ -268,7 +270,9 @@ def test_where_another_comes_they_are_followed_until_that_one_is_gone() -> None:
 
 
 @pytest.mark.parametrize(("reach", "free"), [(60.0, False), (300.0, True), (np.inf, True)])
-def test_the_facing_lane_must_be_seen_as_far_as_one_may_come_from(reach: float, free: bool) -> None:
+def test_the_facing_lane_must_be_seen_as_far_as_traffic_may_come_from(
+    reach: float, free: bool
+) -> None:
     road = two_way()
     sight = (
         None
@@ -319,7 +323,7 @@ def chosen(trace: Trace) -> str:
         "standing",
     ],
 )
-def test_they_are_passed_once_and_for_all(
+def test_an_agent_is_passed_once(
     road: Road, goers: list[tuple[float, float, float]], v: float
 ) -> None:
     found = drive(road, goers, v=v, seconds=20.0)
@@ -331,7 +335,7 @@ def test_they_are_passed_once_and_for_all(
 @pytest.mark.parametrize(
     "rule", [{"light": 1}, {"must_stop": True}], ids=["red light", "stop sign"]
 )
-def test_no_one_is_passed_where_the_ego_has_to_wait(rule: dict[str, object]) -> None:
+def test_no_agent_is_passed_near_a_waiting_place(rule: dict[str, object]) -> None:
     mark = StopLine(7, 0, np.array([[80.0, -1.75], [80.0, 1.75]]), **rule)  # type: ignore[arg-type]
     red = TrafficLight(1, np.array([0.0]), (Colour.RED,))
     found = drive(replace(two_way(), stop_lines=(mark,)), [(35.0, -1.0, 3.0)], lights=(red,))
@@ -349,7 +353,7 @@ def test_a_solid_marking_is_not_crossed_and_a_narrow_lane_has_no_room() -> None:
         assert np.abs(found.trace.ego.y).max() < 0.1
 
 
-def test_a_follower_in_the_lane_beside_need_not_brake() -> None:
+def test_a_follower_in_the_neighbouring_lane_need_not_brake_hard() -> None:
     """A faster car that is nearly beside goes first; the ego waits behind the rider for it."""
     found = drive(lanes(along_x(-20.0, 400.0), 2), [(35.0, -0.8, 4.0)], cars=((-8.0, 3.5, 12.0),))
     y = found.trace.ego.y[
@@ -362,7 +366,7 @@ def test_a_follower_in_the_lane_beside_need_not_brake() -> None:
 @pytest.mark.slow
 @settings(max_examples=12, deadline=None)
 @given(st.floats(-2.3, -1.2), st.floats(1.2, 2.3), st.floats(-5.0, 25.0), st.floats(7.0, 13.5))
-def test_between_walkers_at_both_edges_it_neither_brakes_nor_swerves(
+def test_pedestrians_at_both_edges_cause_neither_braking_nor_swerving(
     right: float, left: float, gap: float, v: float
 ) -> None:
     goers = [(50.0, right, 1.3), (50.0 + gap, left, 1.2)]
@@ -375,7 +379,7 @@ def test_between_walkers_at_both_edges_it_neither_brakes_nor_swerves(
 
 
 @given(st.floats(1.0, 60.0), st.floats(0.0, 10.0), st.booleans())
-def test_the_lane_beside_is_borrowed_where_no_one_brakes_hard(
+def test_the_neighbouring_lane_is_borrowed_where_no_follower_brakes_hard(
     gap: float, closing: float, left: bool
 ) -> None:
     road = lanes(along_x(-100.0, 400.0), 2)

@@ -46,7 +46,7 @@ def test_the_facing_lane_adjoins_where_its_marking_may_be_crossed(right: bool) -
 
 
 @pytest.mark.parametrize("right", [True, False])
-def test_who_blocks_the_lane_is_passed_where_no_one_comes(right: bool) -> None:
+def test_a_blocking_agent_is_passed_on_a_free_oncoming_lane(right: bool) -> None:
     drive = driven(two_way(right=right), [THING])
     y = np.array([now.ego.y for now, _ in drive]) * (1.0 if right else -1.0)
     assert drive[-1][0].ego.x > 120.0 and y.max() > 2.5 and abs(y[-1]) < 0.3
@@ -57,7 +57,7 @@ def test_a_solid_marking_is_not_crossed() -> None:
     assert drive[-1][0].ego.x < 55.0 and max(abs(now.ego.y) for now, _ in drive) < 0.2
 
 
-def test_it_waits_for_who_comes_and_passes_then() -> None:
+def test_the_ego_waits_for_oncoming_traffic_and_passes_then() -> None:
     """Far enough behind the obstacle to steer round it, in its own lane as long as the other has
     not passed.
     """
@@ -80,7 +80,7 @@ def test_a_parked_car_is_passed_once_it_has_stood_for_long() -> None:
 
 @pytest.mark.parametrize("right", [True, False])
 @pytest.mark.parametrize(("aside", "passes"), [(3.5, False), (4.9, True)])
-def test_it_is_not_passed_where_another_fills_the_oncoming_lane(
+def test_no_passing_where_the_oncoming_lane_is_blocked(
     right: bool, aside: float, passes: bool
 ) -> None:
     """Behind a car that stands there may be more that it hides.
@@ -101,7 +101,7 @@ def test_a_queue_is_not_overtaken() -> None:
     assert drive[-1][0].ego.x < 55.0 and max(abs(now.ego.y) for now, _ in drive) < 0.2
 
 
-def test_who_waits_before_a_junction_is_not_overtaken() -> None:
+def test_an_agent_that_waits_before_a_junction_is_not_passed() -> None:
     """The same parked car, where 30 m further the road forks."""
     road = two_way()
     x = np.linspace(-50.0, 90.0, 71)[:, None] * [1.0, 0.0]

@@ -50,7 +50,7 @@ def plans_of(log: Scenario, times: tuple[float, ...]) -> list[Plan]:
 
 
 @pytest.mark.parametrize("name", CATALOGUE)
-def test_plans_of_the_catalogue_do_not_hang_on_rounding(name: str) -> None:
+def test_plans_of_the_catalogue_do_not_depend_on_rounding(name: str) -> None:
     log = CATALOGUE[name].scenario()
     times = (0.0, 2.7)
     here = plans_of(log, times)
@@ -150,7 +150,7 @@ def test_a_fork_as_sharp_to_both_sides_goes_to_the_lane_with_the_lower_id(off: f
     assert find_route(road, EgoState(0.0, 0.0, 0.0, 0.0, 5.0), goal) == (0, 1)
 
 
-def test_who_stands_where_a_lane_ends_is_on_the_next() -> None:
+def test_an_agent_at_a_lanes_end_is_on_the_next_lane() -> None:
     end = np.array([400.0, 0.0])
     road = Road({0: strip(0, along_x(), successors=(1,)), 1: strip(1, along_x(0.0, 40.0) + end)})
     assert {

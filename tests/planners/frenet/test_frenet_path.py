@@ -141,7 +141,7 @@ def test_beyond_its_end_a_path_goes_straight_on() -> None:
     assert yaw[1] == yaw[0] == path.yaw[-1] and kappa[1] == 0.0
 
 
-def test_where_the_frame_ends_it_says_why() -> None:
+def test_a_state_outside_the_frame_has_a_reason() -> None:
     line = ReferenceLine.through(curve((60.0, 0.1)))
     x, y, yaw, _ = line.frame(30.0)
     assert "120 degrees" in out_of_frame(

@@ -62,7 +62,7 @@ def placed(
 
 @given(ROWS)
 @settings(max_examples=40)
-def test_the_columns_are_what_geometry_says(
+def test_the_columns_agree_with_geometry(
     rows: list[tuple[float, float, float, float, AgentKind]],
 ) -> None:
     """Foot points are the nearest of a fine polyline; the rest is trigonometry at the foot."""

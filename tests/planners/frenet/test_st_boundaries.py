@@ -141,7 +141,7 @@ def test_uncertain_times_only_add_to_a_block(crossing: tuple[Path, Other]) -> No
         assert ((extra > times[0] - 0.4 - 1e-9) & (extra < times[-1] + 0.6 + 1e-9)).all()
 
 
-def test_margins_depend_on_who_it_is() -> None:
+def test_margins_depend_on_the_agents_kind() -> None:
     beside = 0.5 * CAR.width + 0.9
     assert len(blocks_of(STRAIGHT, standing("car", 30.0, beside + 0.29))) == 1
     assert len(blocks_of(STRAIGHT, standing("car", 30.0, beside + 0.31))) == 0
@@ -161,7 +161,7 @@ def test_the_speed_along_the_path_is_the_projection_of_the_velocity() -> None:
     )
 
 
-def test_who_follows_is_not_in_the_way() -> None:
+def test_a_following_agent_is_not_in_the_way() -> None:
     others = [
         driving("follower", -12.0, 0.0, 9.0),
         driving("beside, behind", -12.0, 3.5, 9.0),
@@ -185,7 +185,7 @@ def decided(other: Other, profile: FloatArray) -> DecisionKind:
     )[0].kind
 
 
-def test_words_for_what_is_done() -> None:
+def test_each_boundary_has_a_decision_with_its_interval() -> None:
     slow, quick = np.array([0.0, 10.0]), np.array([0.0, 110.0])
     assert decided(standing("it", 40.0, 0.0), slow) is DecisionKind.STOP
     assert decided(driving("it", 20.0, 0.0, 5.0), slow) is DecisionKind.FOLLOW
@@ -221,7 +221,7 @@ def crowd(rows: list[tuple[float, float, float, float, bool]]) -> Scene:
 
 @given(CROWDS, st.sampled_from([TOUCHING, BARE]), st.booleans())
 @settings(max_examples=40)
-def test_who_is_not_met_with_wide_margins_is_not_met_with_narrow_ones(
+def test_narrower_margins_meet_no_further_agents(
     rows: list[tuple[float, float, float, float, bool]], narrow: StGraphConfig, passed: bool
 ) -> None:
     """So that with narrower margins only those are swept again who were found: the same rows, bit

@@ -230,7 +230,7 @@ OTHER = st.tuples(
 
 @settings(max_examples=60)
 @given(st.lists(OTHER, max_size=6), st.floats(0.0, 13.0))
-def test_what_is_chosen_touches_no_one_and_keeps_bounds(
+def test_the_chosen_pair_touches_no_agent_and_keeps_bounds(
     others: list[tuple[float, float, float, float]], v: float
 ) -> None:
     ego = EgoState(0.0, 0.0, 0.0, 0.0, v)
@@ -242,7 +242,7 @@ def test_what_is_chosen_touches_no_one_and_keeps_bounds(
 
 
 @pytest.mark.slow
-def test_it_passes_a_parked_car_where_there_is_room_and_stops_where_there_is_none() -> None:
+def test_a_parked_car_is_passed_with_room_and_stopped_for_without() -> None:
     parked = standing("parked", 80.0, -1.2)
     wide = drives(lanes(along_x(), 2), EgoState(0.0, 0.0, 0.0, 0.0, 10.0), parked, seconds=14.0)
     assert gaps(wide, "parked").min() > 0.25
@@ -256,7 +256,7 @@ def test_it_passes_a_parked_car_where_there_is_room_and_stops_where_there_is_non
     assert any(decided(plan, "parked", "speed") is DecisionKind.STOP for _, plan in narrow)
 
 
-def test_where_nothing_can_be_driven_it_brakes_hard_and_counts_why() -> None:
+def test_without_a_feasible_pair_the_ego_brakes_hard_and_counts_reasons() -> None:
     ego = EgoState(0.0, 0.0, 0.0, 0.0, 14.0)
     now = frame(ego, [standing("wall", 12.0, 0.0, width=10.0)])
     plan = lattice(lanes(along_x()), ego).plan(now)
@@ -265,7 +265,7 @@ def test_where_nothing_can_be_driven_it_brakes_hard_and_counts_why() -> None:
     assert candidates(plan).considered == sum(count for _, count in candidates(plan).rejected)
 
 
-def test_it_says_what_it_chose_and_why_not_the_others() -> None:
+def test_a_plan_shows_the_chosen_pair_and_counts_the_rejected() -> None:
     ego = EgoState(0.0, 0.0, 0.0, 0.0, 10.0)
     plan = lattice(lanes(along_x()), ego).plan(frame(ego, [standing("parked", 25.0, 0.0)]))
     kinds = {type(item) for item in plan.internals}

@@ -117,9 +117,7 @@ def test_the_answer_is_as_near_to_the_optimum_as_it_claims(seed: int, kind: str)
 
 @given(SEED, st.sampled_from(["roomy", "tight"]), st.floats(0.0, 4.0))
 @settings(max_examples=60)
-def test_infeasible_is_what_a_linear_program_calls_infeasible(
-    seed: int, kind: str, shift: float
-) -> None:
+def test_infeasible_agrees_with_a_linear_program(seed: int, kind: str, shift: float) -> None:
     problem = made(kind, seed, shift)
     if feasible(problem, 1e-4):
         assert answer(problem).status == SOLVED
@@ -181,7 +179,7 @@ def test_no_solver_remembers(solver: str) -> None:
     np.testing.assert_array_equal(solved(first), before)
 
 
-def test_without_bounds_at_work_the_reference_is_followed() -> None:
+def test_without_active_bounds_the_reference_is_followed() -> None:
     """A curve at constant x' that is its own reference costs nothing."""
     n, h = 20, 0.5
     t = h * np.arange(n)
@@ -207,7 +205,7 @@ def test_without_bounds_at_work_the_reference_is_followed() -> None:
     )
 
 
-def test_what_cannot_be_solved_is_named() -> None:
+def test_a_failed_solve_has_a_status_with_its_cause() -> None:
     problem = made("roomy", 1)
     for change, words in (
         ({"lower": problem.lower + 1e3}, "bounds cross"),

@@ -180,7 +180,7 @@ def test_a_yellow_that_is_farther_is_never_less_stoppable(
 
 
 @given(speeds, st.floats(0.0, 90.0), st.sampled_from([Colour.RED, Colour.RED_YELLOW]))
-def test_what_stops_at_yellow_stops_at_red(v: float, ahead: float, red: Colour) -> None:
+def test_a_stop_at_yellow_is_a_stop_at_red(v: float, ahead: float, red: Colour) -> None:
     ego = at_front(LINE_X - ahead, v)
     assert len(demands(LIT, ego, (), {9: red})) >= len(demands(LIT, ego, (), {9: Colour.YELLOW}))
 
@@ -223,7 +223,7 @@ def test_a_mirrored_junction_demands_the_same(
         assert (a.s_from, a.until) == pytest.approx((b.s_from, b.until), abs=1e-6)
 
 
-def test_it_is_not_known_when_a_light_will_change() -> None:
+def test_a_later_change_of_a_light_does_not_change_the_plan() -> None:
     """Until the light changes in one of two logs, every plan is the same to the last bit."""
     line = straight(LIGHT)
     log = handmade.scenario(handmade.drive(handmade.straight, 12.0, 6.0), road=line, duration=6.0)
@@ -270,7 +270,7 @@ def test_at_a_yellow_that_comes_too_late_the_ego_drives_on(name: str) -> None:
     assert motion.a.min() > -0.2
 
 
-def test_who_brakes_for_a_yellow_goes_on_braking() -> None:
+def test_braking_for_a_yellow_light_is_continued() -> None:
     """Also where, on the edge of what is comfortable, the next frame would say otherwise."""
     for ahead in np.arange(34.0, 44.0, 1.25):
         ego = at_front(LINE_X - ahead, 13.0)
@@ -316,7 +316,7 @@ def test_the_memory_of_a_stop_is_dropped_with_the_previous_plan() -> None:
 # --- crosswalks
 
 
-def test_who_stands_before_the_crosswalk_is_let_go_but_not_waited_for_for_ever() -> None:
+def test_a_pedestrian_who_stands_at_a_crosswalk_is_waited_for_with_patience() -> None:
     patient = waiter("p", 102.0, -6.6, yaw=0.5 * np.pi)
     motion, plans = drive(
         "dp_qp", straight(crosswalks=[WALK]), at_front(55.0, 10.0), [patient], seconds=18.0
@@ -432,7 +432,7 @@ STANDS = waiter("p", 102.0, -6.6, yaw=0.5 * np.pi)
         (JUNCTION, 70.0, 8.0, [crossing(-40.0, 1.0, 100.0, 8.0)], Colour.OFF, False),
     ],
 )
-def test_demands(
+def test_a_stop_is_demanded_exactly_for_agents_with_priority(
     road: Road, front: float, v: float, others: list[Other], light: Colour, *, demanded: bool
 ) -> None:
     found = demands(
@@ -443,7 +443,7 @@ def test_demands(
 
 
 @given(st.floats(0.0, 12.0), st.floats(50.0, 70.0), st.floats(-10.0, 60.0), st.floats(0.0, 15.0))
-def test_who_is_farther_from_the_merging_never_demands_more(
+def test_an_agent_farther_from_the_merging_never_demands_more(
     v: float, front: float, away: float, more: float
 ) -> None:
     near, far = (
@@ -477,7 +477,7 @@ def test_no_stop_where_lanes_cross() -> None:
 @pytest.mark.parametrize(
     "who", [standing("parked", 109.0, -1.5), waiter("p", 102.0, -2.0, np.pi)], ids=["car", "walker"]
 )
-def test_who_stands_at_the_edge_does_not_keep_the_ego_before_a_crosswalk_for_ever(
+def test_the_ego_drives_on_after_waiting_for_a_pedestrian_who_stays_at_the_edge(
     who: Other,
 ) -> None:
     """A parked car behind it that the path passes.
@@ -494,7 +494,7 @@ def test_who_stands_at_the_edge_does_not_keep_the_ego_before_a_crosswalk_for_eve
     assert trajectory.x[-1] > 120.0
 
 
-def test_waiting_for_one_pedestrian_does_not_let_the_ego_go_over_the_next() -> None:
+def test_patience_with_one_pedestrian_gives_no_priority_over_the_next() -> None:
     """Who waited in a queue, and drives on, has not waited for those who stand there then."""
     road = straight(crosswalks=[WALK])
     memory, found = RuleMemory(), []

@@ -96,7 +96,7 @@ def test_dynamic_programming_is_brute_force(seed: int) -> None:
 
 @given(SEED)
 @settings(max_examples=30)
-def test_what_comes_and_what_goes_add_up(seed: int) -> None:
+def test_cost_to_come_and_cost_to_go_add_up(seed: int) -> None:
     """The best path costs as much as the best through a node of any column, and as the better of
     two sides.
     """

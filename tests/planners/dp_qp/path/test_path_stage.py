@@ -86,7 +86,7 @@ def test_the_box_of_an_obstacle_holds_its_outline(
     assert box.l_from <= feet[:, 1].min() + slack and box.l_to >= feet[:, 1].max() - slack
 
 
-def test_only_who_stands_on_the_road_ahead_is_an_obstacle() -> None:
+def test_only_agents_that_stand_on_the_road_ahead_are_obstacles() -> None:
     others = [
         standing("ahead", 40.0, 0.0),
         standing("kerb", 40.0, -3.0),

@@ -86,7 +86,7 @@ def test_the_order_of_the_caps_does_not_matter(
 
 
 @given(ROADS, CAPS)
-def test_a_decision_for_each_who_lowers_the_roads_limit_with_the_lowest_of_their_speeds(
+def test_each_agent_that_lowers_the_limit_has_one_decision_with_its_lowest_speed(
     values: list[float], caps: list[SpeedCap]
 ) -> None:
     road = road_of(values)
@@ -101,7 +101,7 @@ def test_a_decision_for_each_who_lowers_the_roads_limit_with_the_lowest_of_their
 
 
 @given(ROADS, CAPS)
-def test_what_was_decided_before_is_kept(values: list[float], caps: list[SpeedCap]) -> None:
+def test_earlier_decisions_are_kept(values: list[float], caps: list[SpeedCap]) -> None:
     before = Decision("it", DecisionKind.STOP, "speed", "red light")
     road = road_of(values)
     found = lower_limit(SIGMA, LoweredLimit(road.v, road.is_bound, (before,)), caps)
@@ -131,9 +131,7 @@ def seen(d: float, ahead: float, kind: AgentKind) -> PathView:
 
 
 @given(st.floats(0.2, 0.49), st.floats(0.0, 0.2))
-def test_who_stands_near_the_path_is_passed_more_slowly_the_nearer_they_are(
-    d: float, more: float
-) -> None:
+def test_a_pedestrian_nearer_to_the_path_is_passed_more_slowly(d: float, more: float) -> None:
     looked = seen(1.0, 20.0, AgentKind.PEDESTRIAN)
     tasks = (replace(looked.task, targets=(), passed={"came": room}) for room in (d, d + more))
     found, further = (passing_caps(replace(looked, task=task)) for task in tasks)
@@ -191,7 +189,7 @@ def price(words: str) -> float:
 
 
 @pytest.mark.parametrize("name", ["everyday/junction", "paper/crossing_pedestrian"])
-def test_the_order_that_is_taken_costs_least_and_the_solution_keeps_what_is_said(name: str) -> None:
+def test_the_chosen_order_costs_least_and_its_reason_states_the_gap(name: str) -> None:
     drive = run_closed_loop(scenario(name), "dp_qp", keep_internals=True)
     counts = dict.fromkeys(WORDS, 0)
     for frame in drive.trace.frames:

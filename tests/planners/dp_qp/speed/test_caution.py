@@ -64,7 +64,9 @@ def limit_at(
 
 
 @given(st.floats(0.05, 3.4), st.floats(0.0, 60.0), st.floats(0.0, 1.0))
-def test_who_steps_out_is_passed_or_stopped_for(d: float, x: float, share: float) -> None:
+def test_a_pedestrian_who_steps_out_is_passed_or_stopped_for(
+    d: float, x: float, share: float
+) -> None:
     """At no place of the front does the ego, not faster than (5), hit them."""
     (hidden,) = [one for one in hidden_beside_strip(d) if one.s > 0.0][:1]
     fastest = speed_beside(hidden)
@@ -112,7 +114,7 @@ def test_without_a_sensor_nothing_changes() -> None:
     np.testing.assert_array_equal(out, 15.0)
 
 
-def test_no_one_walks_out_of_the_wake_of_a_moving_car_or_out_of_a_box() -> None:
+def test_ground_behind_moving_cars_and_inside_boxes_hides_no_pedestrian() -> None:
     y = 0.5 * CAR.width + 1.0
     shadow = seen(strip(30.0, 40.0, y, y + 4.0))
     parked = Other("it", lambda t: (30.0, y + 2.0, 0.0, 0.0, 0.0), length=4.5, width=4.0)
@@ -123,7 +125,7 @@ def test_no_one_walks_out_of_the_wake_of_a_moving_car_or_out_of_a_box() -> None:
     assert not limit_at(shadow, inside)[1]
 
 
-def test_what_is_beyond_the_first_in_the_way_is_theirs_to_see() -> None:
+def test_ground_beyond_the_first_agent_in_the_way_is_ignored() -> None:
     y = 0.5 * CAR.width + 1.0
     shadow, lead = (
         seen(strip(30.0, 40.0, y, y + 4.0)),
@@ -192,12 +194,12 @@ def test_the_ego_passes_first_or_could_stop(x: float, d: float, gap: float) -> N
 
 
 @given(st.floats(8.0, 60.0), st.floats(0.7, 3.0), st.floats(0.0, 2.0))
-def test_who_stands_farther_away_lowers_the_speed_less(x: float, d: float, more: float) -> None:
+def test_a_pedestrian_farther_away_lowers_the_speed_less(x: float, d: float, more: float) -> None:
     near, far = (after(x, beside, 1.0).v.min() for beside in (d, d + more))
     assert far >= near
 
 
-def test_only_who_came_a_moment_ago_and_on_foot_is_meant() -> None:
+def test_only_pedestrians_who_came_a_moment_ago_lower_the_speed() -> None:
     assert after(30.0, 0.8, 1.0).v.min() < 10.0
     for other in (
         after(30.0, 0.8, CAUTION.hesitates_s + 0.2),

@@ -71,7 +71,7 @@ def test_the_weight_falls_with_time_unseen_and_grows_with_age(
     assert weight(crossing, age=age, unseen=unseen) == p, "alone, nobody was seen later"
 
 
-def test_who_was_seen_later_than_others_is_doubted_and_the_frames_own_delay_is_not() -> None:
+def test_a_late_sample_is_doubted_relative_to_the_other_agents() -> None:
     now = scene(ROAD, EGO, [driving("it", 30.0, -20.0, 0.0, 8.0), standing("other", 60.0, 9.0)])
     rows = st_boundaries(now, PATH, np.zeros(2, np.bool_), frozenset(), StGraphConfig())
     for unseen, certain in (((0.4, 0.4), True), ((0.0, 0.4), True), ((0.4, 0.0), False)):
@@ -81,7 +81,7 @@ def test_who_was_seen_later_than_others_is_doubted_and_the_frames_own_delay_is_n
 
 
 @given(st.floats(8.0, 15.0), st.floats(0.0, 3.0), st.floats(0.1, 1.0))
-def test_who_comes_from_the_side_may_turn_before_it_is_near(
+def test_an_agent_from_the_side_may_turn_before_it_is_near(
     v: float, to: float, more: float
 ) -> None:
     near, far = (weights(*crossing(v, left))[:, 0] for left in (to, to + more))
@@ -97,12 +97,12 @@ def crossing(v: float, left: float) -> tuple[Scene, Path, StBoundaries]:
 
 
 @given(st.floats(0.3, 2.9), st.floats(0.0, 0.3))
-def test_who_walks_towards_the_path_is_certain_at_first_sight(v: float, age: float) -> None:
+def test_a_pedestrian_towards_the_path_is_certain_at_first_sight(v: float, age: float) -> None:
     assert weight(walker(v, away=3.0), age=age, unseen=0.0) == 1.0
 
 
 @given(st.floats(-14.0, 14.0), st.floats(0.0, 0.1))
-def test_who_is_in_the_way_now_is_never_doubted(v: float, age: float) -> None:
+def test_an_agent_on_the_path_is_never_doubted(v: float, age: float) -> None:
     assert weight(driving("it", 30.0, 0.5, v), age=age, unseen=0.5) >= CERTAIN
 
 
@@ -115,7 +115,7 @@ def test_an_oncoming_car_beside_the_lane_is_doubted_while_it_hardly_drifts(
 
 
 @given(st.floats(3.0, 12.0), st.floats(0.0, 6.0), st.floats(0.0, 2.0))
-def test_who_brakes_before_the_path_is_doubted_and_the_more_the_harder(
+def test_harder_braking_before_the_path_is_doubted_more(
     v: float, brakes: float, more: float
 ) -> None:
     crossing = driving("it", 30.0, -4.0 * v, 0.0, v)
@@ -138,7 +138,7 @@ def test_mirrored_weights_are_the_same(vx: float, vy: float) -> None:
 
 
 @given(st.floats(3.0, 14.0), st.floats(0.0, 8.0), st.sampled_from([0.0, -5.0]))
-def test_a_leader_who_brakes_may_go_on_to_a_stop_and_no_further(
+def test_a_braking_leader_is_expected_to_stop_and_no_further(
     v: float, brakes: float, y: float
 ) -> None:
     crosses = y != 0.0
@@ -154,7 +154,7 @@ def test_a_leader_who_brakes_may_go_on_to_a_stop_and_no_further(
         assert np.nanmax(found.lower) - rows.lower[0, 0] <= stop + 1e-9
 
 
-def test_what_is_let_go_is_what_a_comfortable_stop_cannot_keep() -> None:
+def test_relaxed_rows_are_those_that_a_comfortable_stop_cannot_keep() -> None:
     _, rows = seen(driving("it", 30.0, -8.0, 0.0, 8.0))
     stop = np.linspace(0.0, 40.0, len(rows.t))
     eased = relax_rows(rows, np.array([True]), stop, 1.0)
@@ -165,7 +165,7 @@ def test_what_is_let_go_is_what_a_comfortable_stop_cannot_keep() -> None:
     np.testing.assert_array_equal(same.lower, rows.lower)
 
 
-def test_who_comes_from_beside_is_no_walker_and_no_one_ahead_who_goes_the_same_way() -> None:
+def test_an_agent_from_beside_is_no_pedestrian_and_no_leader() -> None:
     for other, expected in (
         (driving("it", 20.0, -9.0, 0.0, 6.0), True),
         (driving("it", 60.0, 3.5, -8.0, -1.0), True),
@@ -177,7 +177,7 @@ def test_who_comes_from_beside_is_no_walker_and_no_one_ahead_who_goes_the_same_w
         assert from_beside(now, rows).tolist() == [expected], other
 
 
-def test_who_overtakes_is_behind_whatever_way_its_box_heads() -> None:
+def test_an_overtaking_agent_is_behind_for_every_heading_of_its_box() -> None:
     follower = driving("it", -15.0, 0.0, 14.0)
     turned = replace(follower, at=lambda t: (-15.0 + 14.0 * t, 0.0, np.pi, 14.0, 0.0))
     for other in (follower, turned):

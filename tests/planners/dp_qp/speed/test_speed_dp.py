@@ -116,7 +116,7 @@ def test_dynamic_programming_is_brute_force(seed: int) -> None:
 
 @given(SEED)
 @settings(max_examples=40)
-def test_the_chosen_way_costs_what_the_grid_says(seed: int) -> None:
+def test_the_chosen_profile_has_the_cost_of_the_grid(seed: int) -> None:
     """With all weights; and it keeps to the accelerations that an edge may have."""
     occupancy, limit, start = speed_grid(seed, rows=16, columns=4)
     weights = WEIGHTS
@@ -149,7 +149,7 @@ def test_a_faster_road_ahead_does_not_hold_the_ego_back(
 
 @given(SEED, st.floats(1.001, 3.0))
 @settings(max_examples=25)
-def test_ways_that_are_too_dear_do_not_change_the_chosen_one(seed: int, share: float) -> None:
+def test_pruned_profiles_do_not_change_the_chosen_one(seed: int, share: float) -> None:
     occupancy, limit, start = speed_grid(seed, rows=16, columns=4)
     cost, chosen = solved(occupancy, limit, start, WEIGHTS)
     again = solved(occupancy, limit, start, WEIGHTS, share * cost[-1].min() + 1e-3)

@@ -55,7 +55,8 @@ from replan.planners.frenet.scene import (
     Bodies,
     Futures,
 )
-from replan.planners.frenet.st_boundaries import ALONG, Roles, Swept, SweptPath, sweep
+from replan.planners.frenet.st_boundaries import ALONG
+from replan.planners.frenet.sweep import Roles, Swept, SweptPath, sweep
 
 BRAKES_MPS2 = -0.3
 """A plan brakes if its acceleration is at most this: weaker braking is comfortable (ISO 2631-1:

@@ -23,7 +23,7 @@ from replan.logs.scenario import Scenario
 from replan.logs.trace import PlannedFrame, Trace
 from replan.logs.tracks import Tracks
 from replan.planners.frenet.scene import Bodies, Futures
-from replan.planners.frenet.st_boundaries import Roles, Swept, SweptPath, sweep
+from replan.planners.frenet.sweep import Roles, Swept, SweptPath, sweep
 from replan.replay.loop_config import LoopConfig
 from replan.replay.perception import Perception, shows_truth
 from replan.replay.world import World

@@ -42,7 +42,8 @@ from replan.logs.agents import AgentKind, among
 from replan.logs.reference_line import line_frame
 from replan.planners.frenet.path import Path
 from replan.planners.frenet.scene import STANDING_MPS, UNLIKELY, AgentsAlong, Bodies, Scene
-from replan.planners.frenet.st_boundaries import ALONG, StBoundaries, SweptPath
+from replan.planners.frenet.st_boundaries import ALONG, StBoundaries
+from replan.planners.frenet.sweep import SweptPath
 
 CERTAIN, NEGLIGIBLE, SURE = 0.5, 0.05, 0.8
 AGE_S, UNSEEN_S = 0.8, 0.3

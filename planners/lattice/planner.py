@@ -375,7 +375,7 @@ class Sampler:
                 [c.w_lateral * sideways.ravel(), np.repeat(c.w_gap * missing, len(T))]
             )
             costs.append(np.vstack([np.repeat(own_costs[:, rows], len(T), axis=1), lateral]))
-        row, l1, length, changes = map(np.concatenate, zip(*columns, strict=True))
+        row, l1, length, changes = (np.concatenate(column) for column in zip(*columns, strict=True))
         return Pairs(lon, row, l1, length, changes, np.concatenate(costs, axis=1), faults)
 
 

@@ -217,7 +217,7 @@ def _read(hint: Any, absent: float | None = None) -> Convert | None:
         return frozenset
     if origin is tuple and args[-1] is ...:
         if get_origin(args[0]) is tuple:
-            return lambda pairs: tuple((key, _number(value)) for key, value in pairs.items())
+            return _pairs
         item = None if _is_enum(args[0]) else _read(args[0])
         return tuple if item is None else lambda values: tuple(map(item, values))
     if isinstance(origin, type) and issubclass(origin, Mapping):
@@ -227,6 +227,10 @@ def _read(hint: Any, absent: float | None = None) -> Convert | None:
 
 def _number(value: float | None) -> float:
     return np.nan if value is None else value
+
+
+def _pairs(values: Mapping[str, float | None]) -> tuple[tuple[str, float], ...]:
+    return tuple((key, _number(value)) for key, value in values.items())
 
 
 def _member(kind: type[Enum], value: Any) -> Any:

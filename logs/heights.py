@@ -88,22 +88,24 @@ def on_the_way(
     none.
     """
     keep = np.ones(len(boxes), np.bool_)
-    known = np.isfinite(boxes).all(axis=1)
-    if len(places) < 2 or not np.isfinite(places).all() or not known.any():
+    has_height = np.isfinite(boxes).all(axis=1)
+    if len(places) < 2 or not np.isfinite(places).all() or not has_height.any():
         return keep
     half = 0.5 * np.where(np.isfinite(height) & (height > 0.0), height, HIGH_M)
     bottom, top = boxes[:, 2] - half, boxes[:, 2] + half
     low, high = places[:, 2].min(), places[:, 2].max()
-    if not (known & ((bottom >= low + ABOVE_M) | (top <= high - BELOW_M))).any():
+    if not (has_height & ((bottom >= low + ABOVE_M) | (top <= high - BELOW_M))).any():
         return keep
     path = _thinned(places)
     steps = np.diff(path, axis=0)
     steep = np.abs(steps[:, 2]) > STEEPEST * np.hypot(steps[:, 0], steps[:, 1])
-    if len(path) < 2 or steep.mean() > 0.1 or np.ptp(boxes[known, 2]) == 0.0:  # (4)
+    if len(path) < 2 or steep.mean() > 0.1 or np.ptp(boxes[has_height, 2]) == 0.0:  # (4)
         return keep
     level = np.full(len(boxes), np.nan)
     direction = np.zeros(len(boxes))
-    level[known], direction[known] = _clearance(path, boxes[known, :2], bottom[known], top[known])
+    level[has_height], direction[has_height] = _clearance(
+        path, boxes[has_height, :2], bottom[has_height], top[has_height]
+    )
     off = np.isfinite(level) & (level != 0.0)
     if not off.any():
         return keep
@@ -154,7 +156,7 @@ def lanes_off_the_way(
         return {}
     places = _thinned(np.column_stack([ego.x, ego.y, ego.yaw]))
     road = Road({name: lanes[name] for name in held})
-    known, own = list[tuple[float, float, float]](), set[int]()
+    has_height, own = list[tuple[float, float, float]](), set[int]()
     for x, y, yaw in places.tolist():
         along = [
             lane.id
@@ -163,11 +165,11 @@ def lanes_off_the_way(
         ]
         heights = [_height_at(held[name], x, y) for name in along]
         if heights and max(heights) - min(heights) < ABOVE_M:
-            known.append((x, y, float(np.median(heights))))
+            has_height.append((x, y, float(np.median(heights))))
             own.update(along)
-    if not known:
+    if not has_height:
         return {}
-    ground, off = np.array(known), dict[int, float]()
+    ground, off = np.array(has_height), dict[int, float]()
     for name, corners in held.items():
         away = np.hypot(*(corners[:, None, axis] - ground[None, :, axis] for axis in (0, 1)))
         near = away <= NEAR_M

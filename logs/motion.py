@@ -133,7 +133,7 @@ def _smooth_all(
     y: FloatArray,
     vx: FloatArray,
     vy: FloatArray,
-    out: FloatArray,
+    smoothed: FloatArray,
 ) -> None:
     """Fill `out` `(4, m)`: vx, vy, ax, ay."""
     i = 0
@@ -164,7 +164,7 @@ def _smooth_all(
                     logged[a:b],
                     noise,
                     q,
-                    out[:, begin + a : begin + b],
+                    smoothed[:, begin + a : begin + b],
                 )
         i = j
 

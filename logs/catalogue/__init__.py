@@ -96,14 +96,14 @@ def families() -> dict[str, Family]:
     """The built-in families and those of other distributions; ConfigError if an entry point has
     another name.
     """
-    known = FAMILY.installed()
-    for name, family in known.items():
+    all_families = FAMILY.installed()
+    for name, family in all_families.items():
         if family.name != name:
             raise ConfigError(
                 f"the entry point of the family '{family.name}' is called '{name}'; give them one "
                 "name"
             )
-    return FAMILIES | known
+    return FAMILIES | all_families
 
 
 def scenario(name: str) -> Scenario:
@@ -154,10 +154,10 @@ def suite(name: str, seed: int = SEED) -> tuple[str, ...]:
     if ":" in name:
         own = FAMILY.find(name)
         return tuple(name + own.named(cell).removeprefix(own.name) for cell in own.cells())
-    known = families()
-    meant = [family for key, family in known.items() if name in (key, key.partition("/")[0])]
+    by_name = families()
+    meant = [family for key, family in by_name.items() if name in (key, key.partition("/")[0])]
     if not meant:
-        raise unknown_name("suite", name, [*SUITES, *groups(), *known])
+        raise unknown_name("suite", name, [*SUITES, *groups(), *by_name])
     return tuple(family.named(cell) for family in meant for cell in family.cells())
 
 

@@ -70,7 +70,7 @@ class Sight:
 def sight(tracks: Tracks, ego: Trajectory) -> Sight:
     """The road users within range of the ego, every `STEP_S` of its drive."""
     frames = np.round(np.arange(ego.t[0], ego.t[-1] + 1e-6, STEP_S), 6)
-    place = {name: i for i, name in enumerate(tracks.ids)}
+    row_of = {name: i for i, name in enumerate(tracks.ids)}
     parts = []
     for k, t in enumerate(frames.tolist()):
         own, agents = ego.at(t), tracks.truth(t)
@@ -80,7 +80,7 @@ def sight(tracks: Tracks, ego: Trajectory) -> Sight:
             dy * np.cos(own.yaw) - dx * np.sin(own.yaw),
         )
         near = np.flatnonzero((np.abs(ahead) <= AHEAD_M) & (np.abs(aside) <= ASIDE_M))
-        agent_rows = np.array([place[agents.ids[i]] for i in near], np.int64)
+        agent_rows = np.array([row_of[agents.ids[i]] for i in near], np.int64)
         boxes = np.column_stack([agents.x, agents.y, agents.yaw, agents.length, agents.width])[near]
         hidden = _hidden(own.x, own.y, boxes, _VEHICLES[agents.codes[near]])
         columns = (
@@ -122,32 +122,32 @@ def detected(tracks: Tracks, ego: Trajectory, seed: int) -> Detections:
     Another seed gives another drive.
     """
     rng = np.random.default_rng(seed)
-    seen = sight(tracks, ego)
+    visible = sight(tracks, ego)
     boxes = np.vstack(
-        [np.empty((0, _WIDTH)), *(_of_agent(tracks, i, seen, rng) for i in range(len(tracks)))]
+        [np.empty((0, _WIDTH)), *(_of_agent(tracks, i, visible, rng) for i in range(len(tracks)))]
     )
     # Second boxes of some objects, with lower scores
     twins = boxes[rng.random(len(boxes)) < TWINS].copy()
     twins[:, 2:4] += rng.normal(0.0, 0.5, (len(twins), 2))
     twins[:, 7] = np.minimum(twins[:, 7], 0.25)
-    false, count = [], len(seen.frames)
+    false, count = [], len(visible.frames)
     # For a frame or a few
     for first in rng.integers(0, count, rng.poisson(CLUTTER * count)).tolist():
         last = min(first + int(rng.geometric(CLUTTER_END)), count)
-        false.append(_nothing(np.arange(first, last), seen.frames, ego, 0.4, rng))
+        false.append(_nothing(np.arange(first, last), visible.frames, ego, 0.4, rng))
     # ghosts, for seconds
     for first in rng.integers(0, count, rng.poisson(STEP_S * count / GHOST_EVERY_S)).tolist():
         last = min(first + round(rng.uniform(*GHOST_S) / STEP_S), count)
         frames = first + np.flatnonzero(rng.random(last - first) < GHOST_SEEN)
-        false.append(_nothing(frames, seen.frames, ego, 0.35, rng))
+        false.append(_nothing(frames, visible.frames, ego, 0.35, rng))
     rows = rng.permutation(np.vstack([boxes, twins, *false]))
     rows = rows[np.argsort(rows[:, 0], kind="stable")]
     frame, codes = rows[:, 0].astype(np.int64), rows[:, 1].astype(np.int64)
     places = np.arange(len(frame)) - np.searchsorted(frame, frame)
     nothing = np.full(len(frame), np.nan)
     return Detections(
-        t=seen.frames[frame],
-        frames=seen.frames,
+        t=visible.frames[frame],
+        frames=visible.frames,
         ids=tuple(map(str, places.tolist())),
         codes=codes,
         x=rows[:, 2],
@@ -165,9 +165,9 @@ _WIDTH = 8
 """Columns of boxes: frame, code, x, y, yaw, length, width, score."""
 
 
-def _of_agent(tracks: Tracks, i: int, seen: Sight, rng: np.random.Generator) -> FloatArray:
+def _of_agent(tracks: Tracks, i: int, visible: Sight, rng: np.random.Generator) -> FloatArray:
     """The boxes `(k, _WIDTH)` of one road user."""
-    rows = np.flatnonzero(seen.agent == i)
+    rows = np.flatnonzero(visible.agent == i)
     n, code = len(rows), int(tracks.codes[i])
     vehicle, cluster = bool(_VEHICLES[code]), bool(_CLUSTERS[code])
     along, across = (0.09, 0.06) if vehicle else (0.06, 0.06)
@@ -175,8 +175,8 @@ def _of_agent(tracks: Tracks, i: int, seen: Sight, rng: np.random.Generator) -> 
     for k in range(1, n):
         drift[k] = DRIFT_KEPT * drift[k - 1] + np.sqrt(1.0 - DRIFT_KEPT**2) * drift[k]
     u, v = drift[:, 0] + rng.normal(0.0, along, n), 0.5 * drift[:, 1] + rng.normal(0.0, across, n)
-    c, s = np.cos(seen.yaw[rows]), np.sin(seen.yaw[rows])
-    yaw = seen.yaw[rows] + rng.normal(0.0, np.radians(3.5 if vehicle else 25.0), n)
+    c, s = np.cos(visible.yaw[rows]), np.sin(visible.yaw[rows])
+    yaw = visible.yaw[rows] + rng.normal(0.0, np.radians(3.5 if vehicle else 25.0), n)
     yaw += np.pi * (rng.random(n) < FLIPS)
     length = np.abs(tracks.length[i] + rng.normal(0.0, min(0.13, 0.1 * tracks.length[i]), n))
     width = np.abs(tracks.width[i] + rng.normal(0.0, 0.04, n))
@@ -186,11 +186,11 @@ def _of_agent(tracks: Tracks, i: int, seen: Sight, rng: np.random.Generator) -> 
         [_CODES[AgentKind.TRUCK], _CODES[AgentKind.BUS]], int(flicker.sum())
     )
     score = np.clip(
-        0.75 - 0.008 * seen.far[rows] - 0.1 * (not vehicle) + rng.normal(0.0, 0.12, n),
+        0.75 - 0.008 * visible.far[rows] - 0.1 * (not vehicle) + rng.normal(0.0, 0.12, n),
         LEAST_SCORE,
         0.9,
     )
-    share = np.interp(seen.far[rows], FAR_M, SEEN)
+    share = np.interp(visible.far[rows], FAR_M, SEEN)
     mean = SHORT_GAPS / SHORT_END + (1.0 - SHORT_GAPS) / LONG_END
     begins = (1.0 - share) / share / mean
     shown, end = np.ones(n, np.bool_), 0.0  # the gaps have the measured lengths
@@ -202,17 +202,17 @@ def _of_agent(tracks: Tracks, i: int, seen: Sight, rng: np.random.Generator) -> 
         shown[k] = end == 0.0
     boxes = np.column_stack(
         [
-            seen.frame[rows],
+            visible.frame[rows],
             codes,
-            seen.x[rows] + c * u - s * v,
-            seen.y[rows] + s * u + c * v,
+            visible.x[rows] + c * u - s * v,
+            visible.y[rows] + s * u + c * v,
             yaw,
             length,
             width,
             np.full(n, np.nan) if cluster else score,
         ]
     )
-    return boxes[shown & ~seen.hidden[rows]]
+    return boxes[shown & ~visible.hidden[rows]]
 
 
 def _nothing(

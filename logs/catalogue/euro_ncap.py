@@ -115,25 +115,32 @@ def _at_junction(p: Mapping[str, float], target: Target, *, turn: float) -> Scen
     v, u = p["ego_kmh"] * KMH, p["target_kmh"] * KMH
     car, t = VehicleParameters(), grid(p["duration_s"])
     reach = max(u, v) * (p["duration_s"] + SPARE_S) + BEYOND_M
-    place = junction(START_M + v * TTC_S + 30.0, reach, reach, turn=turn, speed_limit=v)
+    crossroads = junction(START_M + v * TTC_S + 30.0, reach, reach, turn=turn, speed_limit=v)
     if turn:
-        stations = np.linspace(place.begin, place.end, 200)
-        turned_x, turned_y, _, _ = place.path.at(stations)
+        stations = np.linspace(crossroads.begin, crossroads.end, 200)
+        turned_x, turned_y, _, _ = crossroads.path.at(stations)
         cross, cross_x = (
             float(np.interp(LANE_WIDTH_M, turned_y, column)) for column in (stations, turned_x)
         )
         x, y, yaw = cross_x + u * (TTC_S - t), np.full(len(t), LANE_WIDTH_M), pi
     else:
         side = 1.0 if p["from_left"] > 0.0 else -1.0
-        cross = place.center[0] - side * HALF_LANE
+        cross = crossroads.center[0] - side * HALF_LANE
         x, y, yaw = np.full(len(t), cross), side * u * (TTC_S - t), copysign(0.5 * pi, -side)
     middle = cross - car.axle_to_center
     other = moving(target.id, target.kind, target.size, t, x, y, yaw=yaw)
     passes = TTC_S + (0.5 * target.size[0] + HALF_LANE) / u
     ahead = waiting(cross - HALF_LANE, STOP_M, p["reaction_s"], passes, car.axle_to_front)
-    start, beyond = middle - v * TTC_S, place.end + 15.0
+    start, beyond = middle - v * TTC_S, crossroads.end + 15.0
     return tested(
-        p, place.path, place.road, [other], {target.id: WAITS}, ahead, beyond=beyond, start=start
+        p,
+        crossroads.path,
+        crossroads.road,
+        [other],
+        {target.id: WAITS},
+        ahead,
+        beyond=beyond,
+        start=start,
     )
 
 

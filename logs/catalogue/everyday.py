@@ -351,8 +351,8 @@ def at_junction(p: Mapping[str, float]) -> Scenario:
     v, duration, car = p["ego_speed_mps"], p["duration_s"], VehicleParameters()
     reach = max(v, p["main_speed_mps"]) * (duration + SPARE_S) + BEYOND_M
     begin = START_M + car.axle_to_front + p["distance_m"]
-    place = junction(begin, reach, reach, turn=p["turn"], speed_limit=p["main_speed_mps"])
-    t, (x, y) = grid(duration), place.center
+    crossroads = junction(begin, reach, reach, turn=p["turn"], speed_limit=p["main_speed_mps"])
+    t, (x, y) = grid(duration), crossroads.center
     cars, passing = [], []
     # On the main road, from both sides in turn
     for k, name in enumerate(("left_1", "right_1", "left_2", "right_2")):
@@ -363,24 +363,31 @@ def at_junction(p: Mapping[str, float]) -> Scenario:
 
     def ahead(time: float, s: float) -> Ahead | None:
         arrival = time + max(0.0, begin - s - car.axle_to_front) / v
-        now = time - p["reaction_s"]
+        reacted_to = time - p["reaction_s"]
         free = not any(
-            passes - p["gap_s"] < arrival and now < passes + p["behind_s"] for passes in passing
+            passes - p["gap_s"] < arrival and reacted_to < passes + p["behind_s"]
+            for passes in passing
         )
         return None if free else stopping(begin, v, car, s)
 
-    turning = min(v, sqrt(p["lateral_mps2"] * place.radius))
+    turning = min(v, sqrt(p["lateral_mps2"] * crossroads.radius))
 
     def cruise(s: float) -> float:
-        if s < place.begin:  # brakes gently towards the turn
-            return min(v, sqrt(turning**2 + 2.0 * BRAKE_MPS2 * (place.begin - s)))
-        return turning if s < place.end else p["main_speed_mps"]
+        if s < crossroads.begin:  # brakes gently towards the turn
+            return min(v, sqrt(turning**2 + 2.0 * BRAKE_MPS2 * (crossroads.begin - s)))
+        return turning if s < crossroads.end else p["main_speed_mps"]
 
-    driven = drive(place.path, speed=v, cruise=cruise, duration=duration, ahead=ahead)
+    driven = drive(crossroads.path, speed=v, cruise=cruise, duration=duration, ahead=ahead)
     last = float(np.hypot(np.diff(driven.x), np.diff(driven.y)).sum()) + START_M
     metadata = {**expects(left_2=WAITS), "last_passes_s": repr(max(passing))}
     return finished(
-        place.path, driven, cars, place.road, duration, begin=last - 10.0, metadata=metadata
+        crossroads.path,
+        driven,
+        cars,
+        crossroads.road,
+        duration,
+        begin=last - 10.0,
+        metadata=metadata,
     )
 
 

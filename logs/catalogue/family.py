@@ -144,7 +144,7 @@ def expects(**kinds: tuple[DecisionKind, ...]) -> dict[str, str]:
     """The metadata entry `expected_decisions` (module docstring)."""
     return {
         "expected_decisions": json.dumps(
-            {agent: [kind.value for kind in wanted] for agent, wanted in kinds.items()}
+            {agent: [kind.value for kind in decisions] for agent, decisions in kinds.items()}
         )
     }
 

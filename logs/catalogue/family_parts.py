@@ -103,14 +103,14 @@ def drive(
     for k in range(round(duration / STEP_S) + 1):
         if k % every == 0:
             rows.append((k * STEP_S, s, v, a))
-        wanted, seen = cruise(s) if callable(cruise) else cruise, ahead(t, s)
-        wish = 0.8 * (wanted - v)  # (1)
-        if seen is not None and seen.stop:
-            wish = min(wish, -v * v / (2.0 * max(seen.gap, 0.1)))  # (3)
-        elif seen is not None:
-            wish = min(wish, 0.15 * (seen.gap - thw * v) + 0.7 * (seen.speed - v))  # (2)
+        cruise_mps, obstacle = cruise(s) if callable(cruise) else cruise, ahead(t, s)
+        wish = 0.8 * (cruise_mps - v)  # (1)
+        if obstacle is not None and obstacle.stop:
+            wish = min(wish, -v * v / (2.0 * max(obstacle.gap, 0.1)))  # (3)
+        elif obstacle is not None:
+            wish = min(wish, 0.15 * (obstacle.gap - thw * v) + 0.7 * (obstacle.speed - v))  # (2)
         low = max(-MAX_BRAKE, -sqrt(2.0 * _EASE * max(v, 0.0)))  # (4)
-        high = min(MAX_ACCEL, sqrt(2.0 * _EASE * max(wanted - v, 0.0)))
+        high = min(MAX_ACCEL, sqrt(2.0 * _EASE * max(cruise_mps - v, 0.0)))
         jerk = min(max((min(max(wish, low), high) - a) / STEP_S, -MAX_JERK), MAX_JERK)
         s += (v + (0.5 * a + jerk * STEP_S / 6.0) * STEP_S) * STEP_S
         v += (a + 0.5 * jerk * STEP_S) * STEP_S

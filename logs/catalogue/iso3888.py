@@ -115,8 +115,8 @@ def _track(p: Mapping[str, float], sections: Callable[..., tuple[ConeLane, ...]]
     first = approach + lanes[0].begin - APPROACH_M
 
     def cruise(s: float) -> float:
-        wanted: float = (slow**2 + 2.0 * BRAKE_MPS2 * max(first - s, 0.0)) ** 0.5
-        return v if s > last else min(v, wanted)
+        allowed: float = (slow**2 + 2.0 * BRAKE_MPS2 * max(first - s, 0.0)) ** 0.5
+        return v if s > last else min(v, allowed)
 
     driven = drive(path, start=0.0, speed=v, cruise=cruise, duration=tenths(last / slow + SPARE_S))
     driven = driven.between(0.0, float(driven.t[np.argmax(driven.x > last + 2.0 * TAPER_M)]))

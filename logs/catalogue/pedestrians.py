@@ -276,8 +276,8 @@ def runs_out(p: Mapping[str, float]) -> Scenario:
     )
 
     def cruise(s: float) -> float:
-        wanted = sqrt(slow**2 + 2.0 * SLOWING_MPS2 * max(begin - s, 0.0))
-        return min(p["ego_speed_mps"], wanted if s + car.axle_to_front < x else inf)
+        allowed = sqrt(slow**2 + 2.0 * SLOWING_MPS2 * max(begin - s, 0.0))
+        return min(p["ego_speed_mps"], allowed if s + car.axle_to_front < x else inf)
 
     return _waiting_driver(
         p, [child], x, leg.begin, cars=cars, cruise=cruise, noticed=emerges + p["reaction_s"]

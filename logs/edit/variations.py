@@ -149,12 +149,16 @@ def varied(scenario: Scenario, agents: Sequence[str], values: Mapping[str, float
     agents = agents or tuple(
         VARIATIONS[name].inserts for name in ordered if VARIATIONS[name].inserts
     )
-    before = now = scenario
+    before = varied_scenario = scenario
     for name, value in ordered.items():
-        now = VARIATIONS[name](now, agents, value)
-        before = now if VARIATIONS[name].inserts else before
-    now = replace(now, tracks=continued(before, now), ego=start_of(now.ego))
-    check_start(scenario, now)
+        varied_scenario = VARIATIONS[name](varied_scenario, agents, value)
+        before = varied_scenario if VARIATIONS[name].inserts else before
+    varied_scenario = replace(
+        varied_scenario,
+        tracks=continued(before, varied_scenario),
+        ego=start_of(varied_scenario.ego),
+    )
+    check_start(scenario, varied_scenario)
     changes = ", ".join(
         f"{name} {VARIATIONS[name].shown(value)}" for name, value in ordered.items()
     )
@@ -169,11 +173,13 @@ def varied(scenario: Scenario, agents: Sequence[str], values: Mapping[str, float
     entries = {f"{VARIED}.{name}": repr(float(value)) for name, value in ordered.items()}
     metadata = {key: text for key, text in scenario.metadata.items() if key != "expected_decisions"}
     # No sample before log time 0
-    early = -min(0, now.start_ns + round(1e9 * float(now.tracks.t.min(initial=0.0))))
+    early = -min(
+        0, varied_scenario.start_ns + round(1e9 * float(varied_scenario.tracks.t.min(initial=0.0)))
+    )
     suffix = ",".join(f"{name}={value:.10g}" for name, value in ordered.items())
     return replace(
-        now,
-        start_ns=now.start_ns + early,
+        varied_scenario,
+        start_ns=varied_scenario.start_ns + early,
         name=f"{scenario.name}~{suffix}",
         controls=None,
         onboard=(),
@@ -301,10 +307,10 @@ def with_agent(
     if name in tracks.ids:
         raise LogError(f"there is a {name} already")
     length, width = np.array(size)[:, None]
-    more = Tracks(
+    agent = Tracks(
         (name,), (kind,), length, width, np.array([static]), np.array([0, len(samples)]), *samples.T
     )
-    return replace(scenario, tracks=tracks.with_more(more))
+    return replace(scenario, tracks=tracks.with_more(agent))
 
 
 def _samples(tracks: Tracks, i: int) -> FloatArray:

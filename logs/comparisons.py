@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from replan.logs.checks import Action, LogCheck, Step, of_scenario
 from replan.logs.clock_offset import EQUAL_S, STEPS, on_one_clock
 from replan.logs.conventions import (
     CLEARLY,
@@ -27,13 +26,14 @@ from replan.logs.conventions import (
 )
 from replan.logs.ego_columns import EGO_COLUMNS
 from replan.logs.heights import ABOVE_M, BELOW_M
+from replan.logs.log_checks import CheckAction, LogCheck, Step, of_scenario
 
 COMPARISONS: tuple[LogCheck[Step], ...] = (
     LogCheck(
         "times of a table without a unit",
         "their steps, or the time since 1970",
         "steps of 10 and more are no seconds",
-        Action.REFUSE,
+        CheckAction.REFUSE,
         "ms, us or ns, with a note; refused if most are equal after rounding",
         "columns (t [ms])",
     ),
@@ -41,7 +41,7 @@ COMPARISONS: tuple[LogCheck[Step], ...] = (
         "velocity of an odometry",
         "displacement of its poses",
         f"misfit below {FITS_ALONE:g} times that in its own axes, and {CLEARLY:g} less",
-        Action.REPAIR,
+        CheckAction.REPAIR,
         "read in the axes in which it fits, with a note",
         "ego_axes",
     ),
@@ -49,7 +49,7 @@ COMPARISONS: tuple[LogCheck[Step], ...] = (
         "heights of road users",
         "heights of the ego's way",
         f"{ABOVE_M:g} m above, {BELOW_M:g} m below",
-        Action.REPAIR,
+        CheckAction.REPAIR,
         "left out by name; unused, with a note, where the zeros differ",
         'columns (z = "-")',
     ),
@@ -57,7 +57,7 @@ COMPARISONS: tuple[LogCheck[Step], ...] = (
         "times of the road users",
         "times of the ego",
         f"equal shifts at both ends within {EQUAL_S:g} s or {STEPS:g} intervals",
-        Action.REFUSE,
+        CheckAction.REFUSE,
         "shifted by a known difference of clocks, with a note; else refused",
         "clock_ahead_s",
         lambda scenario, settings, is_table: on_one_clock(scenario, settings.clock_ahead_s),
@@ -66,7 +66,7 @@ COMPARISONS: tuple[LogCheck[Step], ...] = (
         "positions",
         "speeds and headings",
         "a factor of 2",
-        Action.REFUSE,
+        CheckAction.REFUSE,
         "degrees of latitude and longitude are refused",
         "",
         of_scenario(check_positions),
@@ -75,7 +75,7 @@ COMPARISONS: tuple[LogCheck[Step], ...] = (
         "headings",
         "direction of motion",
         f"the spread of the directions, at most {TURNED_RAD:g} rad",
-        Action.REFUSE,
+        CheckAction.REFUSE,
         "other conventions, and headings across the motion, are refused",
         "ego_heading, agents_heading",
         lambda scenario, settings, is_table: check_headings(scenario, is_table=is_table),
@@ -84,7 +84,7 @@ COMPARISONS: tuple[LogCheck[Step], ...] = (
         "steering angle",
         "headings",
         f"misfit of {EGO_COLUMNS['steer'].denied:g}",
-        Action.REPAIR,
+        CheckAction.REPAIR,
         "converted from another sign, degrees or the steering wheel, else left out, with a note",
         "columns (steer), topics (steering)",
         of_scenario(with_steering),
@@ -93,7 +93,7 @@ COMPARISONS: tuple[LogCheck[Step], ...] = (
         "places of a road user",
         "the ego's box",
         f"{MOST:.0%} of its samples",
-        Action.REPAIR,
+        CheckAction.REPAIR,
         "it is the ego, and left out with a note",
         "ego",
         of_scenario(without_ego),
@@ -102,7 +102,7 @@ COMPARISONS: tuple[LogCheck[Step], ...] = (
         "length and width of vehicles",
         "their direction of motion",
         f"wider than long by a factor of {WIDER:g}",
-        Action.REPAIR,
+        CheckAction.REPAIR,
         "exchanged, with a note",
         "columns (length, width)",
         of_scenario(with_sides),
@@ -111,7 +111,7 @@ COMPARISONS: tuple[LogCheck[Step], ...] = (
         "velocities of road users",
         "their displacement",
         f"misfit below {FITS_ALONE:g} times that in the world, and {CLEARLY:g} less",
-        Action.REPAIR,
+        CheckAction.REPAIR,
         "read in the axes in which they fit, else derived, with a note",
         "agents_axes",
         lambda scenario, settings, is_table: in_world_axes(scenario, settings.agents_axes),

@@ -41,7 +41,7 @@ from replan.logs.scenario import Scenario
 from replan.logs.states import wrapped
 from replan.logs.tracks import Tracks
 from replan.metrics.boxes import name_of, phantoms, pieces
-from replan.metrics.faults import (
+from replan.metrics.log_faults import (
     BRAKING_MPS2,
     FACTORS,
     NEAR,

@@ -28,7 +28,7 @@ from replan.logs.conventions import TURNED_RAD
 from replan.logs.ego_columns import place_ahead
 from replan.logs.scenario import Scenario
 from replan.logs.states import wrapped
-from replan.metrics.faults import (
+from replan.metrics.log_faults import (
     BRAKING_MPS2,
     NEAR,
     FaultKind,

@@ -4,7 +4,7 @@ metrics.
 `CHECKS` is the table of what is compared with what; formulas stand at the functions. A log with
 findings is evaluated like any other; only phantoms change the metrics (`replan.metrics.boxes`).
 `rows` has all checks of a log, also those that refuse or repair it while it is read
-(`replan.logs.checks`).
+(`replan.logs.log_checks`).
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from dataclasses import replace
 import pandas as pd
 
 from replan.logs import comparisons
-from replan.logs.checks import Action, LogCheck
 from replan.logs.chords import ENOUGH_M
 from replan.logs.conventions import TURNED_RAD
+from replan.logs.log_checks import CheckAction, LogCheck
 from replan.logs.observed import MAX_AGE_S
 from replan.logs.readers import admission
 from replan.logs.scenario import Scenario
 from replan.metrics import agent_faults, ego_faults, road_faults
 from replan.metrics.boxes import DEEP_M
-from replan.metrics.faults import FaultKind, Finding, Report
+from replan.metrics.log_faults import FaultKind, Finding, Report
 
 SHOWN = 5
 """Findings of one kind that a report lists."""
@@ -36,7 +36,7 @@ def _reported(
 ) -> LogCheck[Report]:
     """Return the row of a check that makes findings of these kinds."""
     words = " or ".join(kind.value for kind in kinds)
-    return LogCheck(subject, against, tolerance, Action.REPORT, f"reported: {words}", run=run)
+    return LogCheck(subject, against, tolerance, CheckAction.REPORT, f"reported: {words}", run=run)
 
 
 CHECKS = (

@@ -21,7 +21,7 @@ from replan.logs.observed import MAX_AGE_S, clipped
 from replan.logs.road import RoadSource
 from replan.logs.scenario import Scenario
 from replan.metrics.arrival import fault_of, passed_early
-from replan.metrics.faults import FaultKind, Finding
+from replan.metrics.log_faults import FaultKind, Finding
 
 OFF_SHARE = 0.1
 """A tenth of a drive may be off the lanes: cut corners, car parks."""

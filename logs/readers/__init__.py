@@ -21,10 +21,10 @@ import numpy as np
 from replan.core.errors import ConfigError, LogError, unknown_name
 from replan.core.extension import ExtensionKind, an_instance
 from replan.core.files import check_regular, local_path, special_kind
-from replan.logs.checks import passed
 from replan.logs.comparisons import COMPARISONS
 from replan.logs.edit.cut import cut, in_nanoseconds
 from replan.logs.edit.reach import within_reach
+from replan.logs.log_checks import passed
 from replan.logs.log_settings import LogSettings
 from replan.logs.maps import with_map
 from replan.logs.readers import (

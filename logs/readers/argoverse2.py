@@ -95,11 +95,9 @@ SCENARIO = "scenario_*.parquet"
 
 def annotations_of(folder: Path) -> Path | None:
     """Return the file of the boxes: annotations.feather, else the first of annotations*.feather."""
-    files = sorted(
-        folder.glob("annotations*.feather"),
-        key=lambda path: (path.name != "annotations.feather", path.name),
-    )
-    return files[0] if files else None
+    usual = folder / "annotations.feather"
+    files = sorted(folder.glob("annotations*.feather"))
+    return usual if usual in files else next(iter(files), None)
 
 
 def poses_of(folder: Path) -> tuple[IntArray, FloatArray, FloatArray]:

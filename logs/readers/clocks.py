@@ -36,7 +36,8 @@ LAST_S = 9e9
 """Greatest time, s: about the greatest that fits into 64 bits of nanoseconds."""
 PERIODS_S = {"midnight": 86400, "the end of the week": 7 * 86400}
 """Periods of clocks that start again, by the name of their end."""
-SHUFFLED, FEW, STEPS, NEAR = 0.5, 0.1, 5.0, 3.0
+SHUFFLED, FEW = 0.5, 0.1
+STEPS, NEAR = 5.0, 3.0
 BETWEEN, OFF = 0.25, 0.1
 """Constants of (3) and (4)."""
 _TIME_OF_DAY = r"\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?"

@@ -169,7 +169,8 @@ def tracks_of(boxes: RecordedBoxes, notes: list[str]) -> Tracks:
     kinds = tuple(boxes.kinds[i] for i in owners)
     sizes, static, rows = np.full((len(owners), 2), np.nan), np.zeros(len(owners), np.bool_), []
     for k, (a, b) in enumerate(zip(first, ends, strict=True)):
-        x, y, length, width = boxes.x[a:b], boxes.y[a:b], boxes.length[a:b], boxes.width[a:b]
+        x, y = boxes.x[a:b], boxes.y[a:b]
+        length, width = boxes.length[a:b], boxes.width[a:b]
         good = np.isfinite(length) & np.isfinite(width) & (length > 0.0) & (width > 0.0)
         if good.any():
             sizes[k] = np.median(length[good]), np.median(width[good])

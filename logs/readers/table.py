@@ -118,7 +118,8 @@ def from_frames(
     agents = None if agents is None else with_index(agents, "agents", settings.columns)
     if not isinstance(ego, pd.DataFrame):
         chosen = track_table.taken_ego(agents, str(ego), settings, vehicle)
-        ego, agents, vehicle, notes = chosen.ego, chosen.agents, chosen.vehicle, list(chosen.notes)
+        ego, agents = chosen.ego, chosen.agents
+        vehicle, notes = chosen.vehicle, list(chosen.notes)
         settings, source = LogSettings(ego_point=chosen.ego_point), source or chosen.data_set
         traffic = chosen.traffic if traffic is None else traffic
     ego = with_index(ego, "ego", settings.columns)
@@ -257,7 +258,8 @@ def _tracks(
     names = track_table.names_of(table)
     x, y = table.numbers("x") - origin[0], table.numbers("y") - origin[1]
     order = np.lexsort((t, names))
-    names, t, x, y = names[order], t[order], x[order], y[order]
+    names, t = names[order], t[order]
+    x, y = x[order], y[order]
     first = np.flatnonzero(np.r_[True, names[1:] != names[:-1]])
     offsets = np.r_[first, len(names)]
     check_distinct(t, x, y, "agents", names)

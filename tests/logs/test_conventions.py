@@ -13,9 +13,9 @@ from hypothesis import given, settings, strategies as st
 from replan.core.arrays import FloatArray
 from replan.core.errors import LogError
 from replan.logs.agents import AgentKind
-from replan.logs.checks import passed
 from replan.logs.chords import Chords
 from replan.logs.comparisons import COMPARISONS
+from replan.logs.log_checks import passed
 from replan.logs.log_settings import HEADINGS
 from replan.logs.road import Road
 from replan.logs.scenario import Scenario

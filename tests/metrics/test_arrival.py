@@ -20,11 +20,11 @@ from replan.logs.states import TRAJECTORY_COLUMNS, Trajectory
 from replan.logs.trace import EndReason
 from replan.metrics import METRICS, evaluate
 from replan.metrics.arrival import Arrival, fault_of, goal_of, passed_early
-from replan.metrics.faults import FaultKind
 from replan.metrics.health import findings
 from replan.metrics.judge import Outcome, judge, load_gates, worst
 from replan.metrics.judge.aggregate import LogLabels
 from replan.metrics.judge.excuses import COVERED, GOAL_ROUTE
+from replan.metrics.log_faults import FaultKind
 from replan.metrics.route_gain import gain_along, route_of
 
 NAMES = "goal", "route_progress", "completed", "coverage", "covered", "goal_route"

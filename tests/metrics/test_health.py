@@ -15,16 +15,16 @@ from hypothesis import given, settings, strategies as st
 from replan.config import RunConfig
 from replan.logs.agents import AgentKind
 from replan.logs.catalogue import CATALOGUE
-from replan.logs.checks import passed
 from replan.logs.comparisons import COMPARISONS
+from replan.logs.log_checks import passed
 from replan.logs.mcap import write_scenario
 from replan.logs.road import Lane, Road, RoadSource
 from replan.logs.rules import Colour, StopLine, TrafficLight
 from replan.logs.scenario import Scenario
 from replan.logs.states import Trajectory
 from replan.logs.tracks import Tracks
-from replan.metrics.faults import FaultKind
 from replan.metrics.health import CHECKS, findings, report, rows
+from replan.metrics.log_faults import FaultKind
 from replan.run import evaluate_logs
 
 DOCS = Path(__file__).parents[2] / "docs"

@@ -31,8 +31,8 @@ from replan.logs.kind_words import kind_of_word
 from replan.logs.observed import Spans, inferred
 from replan.logs.readers.base import Reader
 from replan.logs.readers.commonroad.document import parse
+from replan.logs.readers.commonroad.document_records import Document, Obstacle, PlanningProblem
 from replan.logs.readers.commonroad.lanelets import lights_of, road_of, with_rules
-from replan.logs.readers.commonroad.records import Document, Obstacle, PlanningProblem
 from replan.logs.readers.commonroad.tracks import (
     ego_log,
     sized,

@@ -17,18 +17,7 @@ import numpy as np
 from replan.core.arrays import FloatArray, frozen
 from replan.core.errors import LogError, in_file
 from replan.core.files import read_xml
-from replan.logs.readers.commonroad.elements import (
-    child,
-    integer,
-    interval,
-    middle,
-    missing,
-    number,
-    point_in,
-    points_in,
-    references,
-)
-from replan.logs.readers.commonroad.records import (
+from replan.logs.readers.commonroad.document_records import (
     Document,
     GoalState,
     Incoming,
@@ -39,6 +28,17 @@ from replan.logs.readers.commonroad.records import (
     OccupiedSet,
     PlanningProblem,
     Stop,
+)
+from replan.logs.readers.commonroad.elements import (
+    child,
+    integer,
+    interval,
+    middle,
+    missing,
+    number,
+    point_in,
+    points_in,
+    references,
 )
 from replan.logs.rules import Colour
 

@@ -50,7 +50,12 @@ import numpy as np
 from replan.core.arrays import FloatArray
 from replan.logs.maps.strips import CAR_WIDTH_M, dense, resampled
 from replan.logs.readers.commonroad.document import PRIORITY_SIGNS, STOP_SIGNS, YIELD_SIGNS
-from replan.logs.readers.commonroad.records import Document, Incoming, Lanelet, PlanningProblem
+from replan.logs.readers.commonroad.document_records import (
+    Document,
+    Incoming,
+    Lanelet,
+    PlanningProblem,
+)
 from replan.logs.road import Lane, Road
 from replan.logs.rules import Colour, Crosswalk, StopLine, TrafficLight
 from replan.logs.states import wrap
@@ -335,19 +340,19 @@ def _turns(document: Document, road: Road) -> dict[tuple[int, int], str]:
     """Return the turn by lanelet and successor: from the intersections, else by the change of
     heading.
     """
-    turns = {
-        (lanelet, successor): turn
-        for intersection in document.intersections
-        for incoming in intersection.incomings
-        for lanelet in incoming.lanelets
-        for successor, turn in incoming.successors
-    }
+    turns: dict[tuple[int, int], str] = {}
+    for intersection in document.intersections:
+        for incoming in intersection.incomings:
+            for lanelet, (successor, turn) in product(incoming.lanelets, incoming.successors):
+                turns[lanelet, successor] = turn
     for lane in road.lanes.values():
         for successor in lane.successors:
             if successor in road.lanes:
                 ahead = road.lanes[successor].center
                 gained = wrap(_heading(ahead[-2:]) - _heading(ahead[:2]))
-                turn = "straight" if abs(gained) < TURNING else "left" if gained > 0.0 else "right"
+                turn = "left" if gained > 0.0 else "right"
+                if abs(gained) < TURNING:
+                    turn = "straight"
                 turns.setdefault((lane.id, successor), turn)
     return turns
 
@@ -442,9 +447,8 @@ def _right_of_way(
     across = "left" if road.drives_on_right else "right"
     for intersection in document.intersections:
         # lanes inside begin nearer to the middle of the incomings' ends than the farthest end
-        leading = {
-            i for incoming in intersection.incomings for i in incoming.lanelets if i in road.lanes
-        }
+        lanelets = (i for incoming in intersection.incomings for i in incoming.lanelets)
+        leading = {i for i in lanelets if i in road.lanes}
         ends = np.array([road.lanes[i].center[-1] for i in leading]).reshape(-1, 2)
         middle = ends.mean(axis=0) if leading else np.zeros(2)
         radius = float(np.hypot(*(ends - middle).T).max(initial=0.0))

@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from replan.core.arrays import FloatArray
-from replan.logs.readers.commonroad.records import OccupiedSet
+from replan.logs.readers.commonroad.document_records import OccupiedSet
 
 EXCESS_M = 0.1
 """A box may be this much wider than the set on average, m."""

@@ -34,8 +34,8 @@ import numpy as np
 from replan.core.arrays import FloatArray
 from replan.logs.agents import AgentKind
 from replan.logs.kind_words import kind_of_word
+from replan.logs.readers.commonroad.document_records import Document, Obstacle
 from replan.logs.readers.commonroad.occupancy_sets import standing
-from replan.logs.readers.commonroad.records import Document, Obstacle
 from replan.logs.states import Trajectory, wrap
 from replan.logs.tracks import Tracks
 from replan.logs.vehicle import VehicleParameters

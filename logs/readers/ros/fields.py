@@ -161,13 +161,16 @@ class _Code:
                 )
                 raise LogError(problem, remedy=SIMPLIFY)
             # What is left of each wanted path behind the field's name; "": the field itself
-            wanted_here = []
+            wanted_here: list[tuple[int, Any]] = []
             for i, w in enumerate(wanted):
-                first, dot, rest = (w if isinstance(w, str) else w[0]).partition(".")
-                if first == name:
-                    wanted_here.append(
-                        (i, rest if isinstance(w, str) else (rest, w[1]) if dot else w[1])
-                    )
+                path, inner = (w, None) if isinstance(w, str) else w
+                first, dot, rest = path.partition(".")
+                if first != name:
+                    continue
+                if inner is None:
+                    wanted_here.append((i, rest))
+                else:
+                    wanted_here.append((i, (rest, inner) if dot else inner))
             places |= self.value(desc, wanted_here, level + 1)
         for i, w in enumerate(wanted):
             if i not in places:

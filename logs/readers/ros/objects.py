@@ -34,6 +34,9 @@ from replan.logs.readers.ros.tracks import Samples, identified
 MISFIT = 0.5
 """Logged velocities whose median difference exceeds this share of the speed are not used."""
 LEAST_SIZE_M = 0.1
+"""Smaller sizes are not known, m."""
+POLYGON = 2
+"""Autoware's number of shapes that are polygons."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,25 +264,17 @@ def _sizes(
     centre, yaw, turned = world.p[:, :2].copy(), heading(world.q), np.zeros(n, np.bool_)
     if "outline" in held:
         outlines = held.column("outline")
-        shapes = (
-            held.column("shape")
-            if "shape" in held
-            else [2 if k is AgentKind.OBJECT else 0 for k in kinds]
-        )
+        is_polygon = [kind is AgentKind.OBJECT for kind in kinds]
+        if "shape" in held:
+            is_polygon = [shape == POLYGON for shape in held.column("shape")]
         outlined = np.array(
-            [i for i in range(n) if shapes[i] == 2 and len(outlines[i]) > 2], np.int64
+            [i for i in range(n) if is_polygon[i] and len(outlines[i]) > 2], np.int64
         )
-        boxes = (
-            smallest_rectangles([outlines[i] for i in outlined])
-            if len(outlined)
-            else np.empty((0, 5))
-        )
-        centre[outlined], yaw[outlined], size[outlined], turned[outlined] = (
-            boxes[:, :2],
-            boxes[:, 2],
-            boxes[:, 3:],
-            True,
-        )
+        boxes: FloatArray = np.empty((0, 5))
+        if len(outlined):
+            boxes = smallest_rectangles([outlines[i] for i in outlined])
+        centre[outlined], yaw[outlined] = boxes[:, :2], boxes[:, 2]
+        size[outlined], turned[outlined] = boxes[:, 3:], True
         base = world if schema.outline_frame == "object" else turn
         if base is not None and len(outlined):
             half, none = 0.5 * boxes[:, 2], np.zeros(len(boxes))
@@ -309,7 +304,8 @@ def _frame_of_twist(
     fits = chords.misfits(logged)
     if fits is None:
         return "object" if schema.twist_frame in ("object", "log") else "frame"
-    best = min(fits, key=lambda name: (round(fits[name], 2), name != schema.twist_frame))
+    ranks = {name: (round(misfit, 2), name != schema.twist_frame) for name, misfit in fits.items()}
+    best = min(ranks, key=ranks.__getitem__)
     # Also of the chords that do not show the frame
     misfit = (chords.misfits({best: logged[best]}) or fits)[best]
     words = {"object": "object's own frame", "frame": "message's frame"}

@@ -12,7 +12,7 @@ from mcap_cases import rich_scenario
 
 from replan.core.errors import LogError
 from replan.core.names import visible_name
-from replan.logs.checks import passed
+from replan.logs.log_checks import passed
 from replan.logs.mcap import write_scenario
 from replan.logs.readers import LogSettings, read_log
 from replan.logs.readers.admission import CHECKS, LIMITS, check_clocks, check_road, printable

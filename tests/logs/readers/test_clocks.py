@@ -73,7 +73,7 @@ def test_times_that_only_others_have_after_midnight_run_on_too() -> None:
 
 def test_rows_in_order_are_never_moved_to_another_day() -> None:
     with pytest.raises(LogError, match="no state for"):
-        from replan.logs.checks import passed
+        from replan.logs.log_checks import passed
         from replan.logs.readers.admission import CHECKS
 
         passed(from_frames(ego(t=np.where(T < 6.0, T, 86380.0 + T))), CHECKS)

@@ -27,8 +27,8 @@ from replan.logs.agents import AgentKind
 from replan.logs.readers import read_log
 from replan.logs.readers.commonroad import read_commonroad
 from replan.logs.readers.commonroad.document import parse
+from replan.logs.readers.commonroad.document_records import Obstacle
 from replan.logs.readers.commonroad.lanelets import _crossable
-from replan.logs.readers.commonroad.records import Obstacle
 from replan.logs.readers.commonroad.tracks import (
     _prediction_error,
     ego_log,

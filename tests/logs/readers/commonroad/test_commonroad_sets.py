@@ -13,6 +13,7 @@ from hypothesis import given, strategies as st
 from replan.logs.agents import AgentKind
 from replan.logs.polylines import inside
 from replan.logs.readers.commonroad import read_commonroad
+from replan.logs.readers.commonroad.document_records import OccupiedSet
 from replan.logs.readers.commonroad.occupancy_sets import (
     DEEPEST,
     EXCESS_M,
@@ -22,7 +23,6 @@ from replan.logs.readers.commonroad.occupancy_sets import (
     smallest_box,
     standing,
 )
-from replan.logs.readers.commonroad.records import OccupiedSet
 from replan.replay.loop.closed_loop import run_closed_loop
 
 

@@ -18,7 +18,7 @@ from replan.logs.scenario import Scenario
 Run = TypeVar("Run")
 
 
-class Action(Enum):
+class CheckAction(Enum):
     """The strongest thing that a check does to a log."""
 
     REFUSE = "refuse"
@@ -37,7 +37,7 @@ class LogCheck(NamedTuple, Generic[Run]):
     subject: str
     against: str
     tolerance: str
-    action: Action
+    action: CheckAction
     consequence: str
     setting: str = ""
     run: Run | None = None

@@ -164,7 +164,8 @@ class FaultKind(Enum):
     def __new__(cls, word: str, topic: str, unit: str, effect: str) -> FaultKind:
         """The word is the value."""
         kind = object.__new__(cls)
-        kind._value_, kind.topic, kind.unit, kind.effect = word, topic, unit, effect
+        kind._value_, kind.effect = word, effect
+        kind.topic, kind.unit = topic, unit
         return kind
 
 
@@ -194,7 +195,10 @@ def unit_meaning(factor: float) -> str:
     """Return what a ratio of distances by speed and by positions means; "" if it is no factor of
     `FACTORS`.
     """
-    return next((FACTORS[known] for known in FACTORS if abs(factor / known - 1.0) < NEAR), "")
+    for wrong_unit, meaning in FACTORS.items():
+        if abs(factor / wrong_unit - 1.0) < NEAR:
+            return meaning
+    return ""
 
 
 def distances(
@@ -207,12 +211,12 @@ def distances(
     """
     _, firsts = np.unique((t - t[0]) // CLOSE_S, return_index=True)
     rows = np.unique(np.append(firsts, len(t) - 1))
-    observed = (
-        ~np.logical_or.reduceat(gap_after, rows[:-1]) if len(rows) > 1 else np.empty(0, np.bool_)
-    )
-    t, x, y, v = t[rows], x[rows], y[rows], v[rows]
-    by_positions = np.hypot(np.diff(x), np.diff(y))
-    by_speeds = 0.5 * np.diff(t) * (v[1:] + v[:-1])
+    observed = np.empty(0, np.bool_)
+    if len(rows) > 1:
+        observed = ~np.logical_or.reduceat(gap_after, rows[:-1])
+    speed = v[rows]
+    by_positions = np.hypot(np.diff(x[rows]), np.diff(y[rows]))
+    by_speeds = 0.5 * np.diff(t[rows]) * (speed[1:] + speed[:-1])
     return float(by_positions[observed].sum()), float(by_speeds[observed].sum())
 
 

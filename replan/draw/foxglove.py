@@ -33,9 +33,9 @@ import numpy as np
 from replan.core.arrays import FloatArray
 from replan.core.errors import ConfigError
 from replan.core.names import ShortNames
+from replan.draw.drawn_scene import Marker
 from replan.draw.recording import colours
 from replan.draw.recording.road_layer import LIGHTS, STOP_SIGN
-from replan.draw.scene import Marker
 from replan.logs.agents import AgentKind, Agents
 from replan.logs.mcap.trace_file import driven_scenario
 from replan.logs.mcap.writer import Entry, log_times

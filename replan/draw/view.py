@@ -33,6 +33,7 @@ from replan.core.arrays import FloatArray
 from replan.core.errors import ConfigError, ReplanError
 from replan.core.names import counted
 from replan.draw.drawn_results import load
+from replan.draw.drawn_scene import Marker
 from replan.draw.panels import SERIES, Curve, Panel
 from replan.draw.plan_graphs import SL, ST
 from replan.draw.recording import write_log_recording
@@ -64,7 +65,6 @@ from replan.draw.recording.tape import (
     table,
 )
 from replan.draw.report.overview import overview
-from replan.draw.scene import Marker
 from replan.explain.first_difference import first_difference
 from replan.logs.mcap import read_trace
 from replan.logs.readers import LogSettings, read_log

@@ -84,7 +84,7 @@ SAME_M = 1e-3
 """Points nearer to each other than this are merged."""
 
 
-class Action(Enum):
+class PlanAction(Enum):
     """The actions of a plan within the next second."""
 
     STANDS = "stands"
@@ -108,7 +108,7 @@ class Course:
         t_brakes: The time t_b of (1).
     """
 
-    action: Action
+    action: PlanAction
     v_start: float
     v_end: float
     v_least: float
@@ -121,7 +121,7 @@ class Course:
     @property
     def is_slow(self) -> bool:
         """Whether it stands or crawls."""
-        return self.action in (Action.STANDS, Action.CRAWLS)
+        return self.action in (PlanAction.STANDS, PlanAction.CRAWLS)
 
     @property
     def is_asked(self) -> bool:
@@ -139,20 +139,20 @@ class Course:
         v_now, v_ahead = abs(float(path.v[0])), abs(float(np.interp(ahead, t, path.v)))
         accel = (v_ahead - v_now) / max(ahead, 1e-9)
         if max(v_now, v_ahead) < STANDING_MPS:
-            action = Action.STANDS
+            action = PlanAction.STANDS
         else:
-            action = Action.SPEEDS if accel > -BRAKES_MPS2 else Action.HOLDS
+            action = PlanAction.SPEEDS if accel > -BRAKES_MPS2 else PlanAction.HOLDS
             if accel < BRAKES_MPS2:
-                action = Action.SLOWS
+                action = PlanAction.SLOWS
         slowest, hardest = int(np.argmin(path.v)), int(np.argmin(path.a))
         braking = np.flatnonzero((path.a <= BRAKES_MPS2) & (path.v > STANDING_MPS))
         if (
-            action is Action.HOLDS
+            action is PlanAction.HOLDS
             and not len(braking)
             and path.v.min() >= 0.0
             and path.v.max() < CRAWL_MPS
         ):
-            action = Action.CRAWLS
+            action = PlanAction.CRAWLS
         return cls(
             action,
             float(path.v[0]),
@@ -196,7 +196,7 @@ class Held:
         planned = np.interp(t, own, sigma)
         if course.is_slow or (np.isfinite(wanted) and np.isnan(course.t_brakes)):
             v0, to = (
-                0.0 if course.action is Action.STANDS else course.v_start,
+                0.0 if course.action is PlanAction.STANDS else course.v_start,
                 float(np.fmax(START_TO_MPS, wanted)),
             )
             ramp = max((to - v0) / START_MPS2, 0.0)

@@ -8,7 +8,7 @@ import re
 from math import isfinite
 
 from replan.explain.causes import Account, Cause, CauseKind
-from replan.explain.course import GAP_M, HEADWAY_S, STEP_S, Action
+from replan.explain.course import GAP_M, HEADWAY_S, STEP_S, PlanAction
 
 MOST = 3
 """Largest number of causes in sentences; the number of further causes is given."""
@@ -20,7 +20,11 @@ NAMES = {
     CauseKind.BEGUN: "braking that is under way",
 }
 """Names of causes in sentences; any other cause is named by its `who`."""
-OPENINGS = {Action.STANDS: "Stands", Action.CRAWLS: "Crawls", Action.SLOWS: "Slows down"}
+OPENINGS = {
+    PlanAction.STANDS: "Stands",
+    PlanAction.CRAWLS: "Crawls",
+    PlanAction.SLOWS: "Slows down",
+}
 
 
 def sentences(account: Account) -> list[str]:
@@ -129,7 +133,7 @@ def _join(*parts: str) -> str:
 
 def _describe_held_plan(account: Account, cause: Cause) -> str:
     if account.course.is_slow:
-        return "driving off" if account.course.action is Action.STANDS else "speeding up"
+        return "driving off" if account.course.action is PlanAction.STANDS else "speeding up"
     return f"at {cause.hold_mps:.1f} m/s"
 
 

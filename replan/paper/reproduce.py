@@ -33,7 +33,7 @@ import pandas as pd
 from replan.core.arrays import FloatArray, arc_lengths
 from replan.core.errors import ConfigError, unknown_name
 from replan.draw.charts.axes import LEFT_PX, RIGHT_PX, Plane
-from replan.draw.charts.bird_view import View, drawn_road, scene
+from replan.draw.charts.bird_view import BirdView, drawn_road, scene
 from replan.draw.charts.canvas import Chart, stacked
 from replan.draw.charts.curves import KINDS, Span, panel_chart, plan_graph
 from replan.draw.charts.layout import together
@@ -82,7 +82,7 @@ def path_figure(
     high = (WIDTH_PX - LEFT_PX - RIGHT_PX) * (y[1] - y[0]) / (x[1] - x[0])
     plane = Plane(x, y, WIDTH_PX, 0.0)
     plane = replace(plane, height=high - plane.inner[1])
-    inside = drawn_road(View(plane, EgoState(0.0, 0.0, 0.0, 0.0, 0.0)), scenario)
+    inside = drawn_road(BirdView(plane, EgoState(0.0, 0.0, 0.0, 0.0, 0.0)), scenario)
     inside += plane.line(planned[:, 0], planned[:, 1], "wide") + plane.line(
         first.ego.x, first.ego.y, "a"
     )

@@ -30,7 +30,7 @@ from replan.draw.charts.canvas import (
     text,
 )
 from replan.draw.charts.subject import ASKED, SceneSubject, Subject
-from replan.draw.scene import decided, plan_seconds
+from replan.draw.drawn_scene import decided, plan_seconds
 from replan.logs.agents import AgentKind, Agents
 from replan.logs.scenario import Scenario
 from replan.logs.shapes import corners
@@ -67,7 +67,7 @@ def scene(subject: SceneSubject, t: float, word: str, about: Collection[str] = (
         for drive in drives.values()
     ]
     ego, several = states[0], len(drives) > 1
-    view = View(_plane(ego, states), ego)
+    view = BirdView(_plane(ego, states), ego)
     planned = abs(t - subject.moment.t) < 1e-9
     agents = subject.trace.agents.truth(t)
     paths, boxes = "", ""
@@ -154,7 +154,7 @@ def place_of_moment(subject: Subject) -> int:
     return int(subject.moment.t - float(subject.trace.ego.t[0]) > APART_S)
 
 
-class View:
+class BirdView:
     """Converts points of the world to pixels of the picture, (1)."""
 
     def __init__(self, plane: Plane, ego: EgoState) -> None:
@@ -182,7 +182,7 @@ class View:
         return [piece for pixels in shown for piece in cut_line(pixels, *self.plane.inner)]
 
 
-def drawn_road(view: View, scenario: Scenario) -> str:
+def drawn_road(view: BirdView, scenario: Scenario) -> str:
     """Lanes, crosswalks, the goal, and stop lines with the colour of their light as a word."""
     road, goal = scenario.road, scenario.goal
     lanes = list(road.lanes.values())
@@ -206,14 +206,14 @@ def drawn_road(view: View, scenario: Scenario) -> str:
     return drawn
 
 
-def _foreseen(view: View, subject: SceneSubject) -> str:
+def _foreseen(view: BirdView, subject: SceneSubject) -> str:
     """The predictions of other road users in the newest frame."""
     futures = None if subject.frame is None else subject.frame.predictions
     paths = () if futures is None else map(np.column_stack, zip(futures.x, futures.y, strict=True))
     return polylines(view.lines(paths), "foreseen")
 
 
-def _path(view: View, subject: SceneSubject, kind: str, *, planned: bool) -> str:
+def _path(view: BirdView, subject: SceneSubject, kind: str, *, planned: bool) -> str:
     """The driven path, and the newest plan as a line of a kind with a dot per second."""
     driven = subject.trace.ego
     drawn = polylines(view.lines([np.column_stack([driven.x, driven.y])]), "driven")
@@ -226,7 +226,7 @@ def _path(view: View, subject: SceneSubject, kind: str, *, planned: bool) -> str
     return drawn
 
 
-def _box(view: View, subject: SceneSubject, ego: EgoState) -> str:
+def _box(view: BirdView, subject: SceneSubject, ego: EgoState) -> str:
     """The ego's box, with its front marked."""
     car = subject.scenario.vehicle
     x, y = box_center(ego, car)
@@ -238,7 +238,7 @@ def _box(view: View, subject: SceneSubject, ego: EgoState) -> str:
     return area(box[:, 0], box[:, 1], "ego") + polyline(nose[:, 0], nose[:, 1], "nose")
 
 
-def _other(view: View, agents: Agents, row: int, *, pointed: bool) -> str:
+def _other(view: BirdView, agents: Agents, row: int, *, pointed: bool) -> str:
     """A box, or a dot for pedestrians and small boxes.
 
     A moving agent has a line to its position in one second.
@@ -262,7 +262,7 @@ def _other(view: View, agents: Agents, row: int, *, pointed: bool) -> str:
 
 
 def _names(
-    view: View,
+    view: BirdView,
     agents: Agents,
     subject: SceneSubject,
     egos: Mapping[str, EgoState],

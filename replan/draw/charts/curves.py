@@ -26,9 +26,9 @@ from replan.draw.charts.canvas import (
     text,
 )
 from replan.draw.charts.subject import SceneSubject, Subject
+from replan.draw.drawn_scene import decided as plan_decisions
 from replan.draw.panels import Panel, compared_panels, panels
 from replan.draw.plan_graphs import SL, ST, DrawnGraph, GraphKind, graph_axes
-from replan.draw.scene import decided as plan_decisions
 from replan.explain.explanation import STATUS_WORDS
 from replan.logs.plan import PlanStatus, PlanSummary
 

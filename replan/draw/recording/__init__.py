@@ -20,6 +20,7 @@ import rerun as rr
 
 from replan.core.arrays import FloatArray
 from replan.core.memory import trim_memory
+from replan.draw.drawn_scene import Marker
 from replan.draw.panels import panels, stage_panel, steps_of
 from replan.draw.plan_graphs import SL, ST, DrawnGraph, GraphKind
 from replan.draw.recording import pages, plots
@@ -27,7 +28,6 @@ from replan.draw.recording.graphs import Axes, draw_graph, draw_occupancy
 from replan.draw.recording.moving import draw_moving, draw_others, draw_scene
 from replan.draw.recording.plots import RecordingContents, blueprint
 from replan.draw.recording.tape import Instants, Tape, field_name, path_parts, recording_file
-from replan.draw.scene import Marker
 from replan.explain.drive_events import TimedEvent, events
 from replan.explain.planner_input import actual_occupancy
 from replan.logs.frame_store import light

@@ -24,6 +24,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from replan.core.arrays import FloatArray, IntArray
+from replan.draw.drawn_scene import decided, in_full, plan_seconds
 from replan.draw.recording import colours
 from replan.draw.recording.plots import places
 from replan.draw.recording.road_layer import (
@@ -34,7 +35,6 @@ from replan.draw.recording.road_layer import (
     draw_road,
 )
 from replan.draw.recording.tape import REMOVED, Instants, Tape, joined, pixels, plain
-from replan.draw.scene import decided, in_full, plan_seconds
 from replan.explain.planner_input import agents_shown
 from replan.logs.agents import AgentKind, Agents, codes_of
 from replan.logs.frame import Visibility

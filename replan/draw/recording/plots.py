@@ -18,6 +18,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from replan.core.arrays import FloatArray
+from replan.draw.drawn_scene import Marker
 from replan.draw.panels import Panel
 from replan.draw.plan_graphs import SL, ST
 from replan.draw.recording import colours
@@ -31,7 +32,6 @@ from replan.draw.recording.graphs import (
     Axes,
 )
 from replan.draw.recording.tape import FRAME, REMOVED, SIM_TIME, SPACER, Instants, Tape, plain
-from replan.draw.scene import Marker
 from replan.explain.causes import KEEP
 from replan.explain.explanation import (
     BOTH,

@@ -27,7 +27,7 @@ from replan.experiments.failure import (
 )
 from replan.experiments.failure_words import OUTCOMES, Fault
 from replan.explain.causes import Account, Cause, CauseKind
-from replan.explain.course import Action, Course
+from replan.explain.course import Course, PlanAction
 from replan.logs.agents import AgentKind
 from replan.logs.frame import Predictions
 from replan.logs.plan import LaneOption, Plan
@@ -277,7 +277,7 @@ def test_a_lane_change_is_that_of_the_plan() -> None:
 def test_lost_time_is_summed_by_cause_less_the_time_made_up(
     steps: list[tuple[str, float]],
 ) -> None:
-    course = Course(Action.HOLDS, 1.0, 1.0, 1.0, 8.0, 0.0, 0.0, 0.0, nan)
+    course = Course(PlanAction.HOLDS, 1.0, 1.0, 1.0, 8.0, 0.0, 0.0, 0.0, nan)
     explained = [
         Account(0.5 * k, course, True, (Cause(CauseKind.AGENT, who),) if who else ())
         for k, (who, _) in enumerate(steps)

@@ -14,7 +14,7 @@ from handmade import drive, lanes_along, scenario, square, straight, track, trac
 from hypothesis import given, settings, strategies as st
 
 from replan.core.arrays import FloatArray
-from replan.explain import Account, Action, Cause, CauseKind, accounts, sentences
+from replan.explain import Account, Cause, CauseKind, PlanAction, accounts, sentences
 from replan.explain.causes import CURVE_MPS2, STAYS_BEHIND, Explainer
 from replan.explain.course import (
     GAP_M,
@@ -116,7 +116,7 @@ def check(case: PlannerInput, account: Account, world: Scenario, ways: Ways) -> 
         float(np.interp(plan.trajectory.t[0] + 1.0, plan.trajectory.t, plan.trajectory.v))
         - plan.trajectory.v[0]
     )
-    assert (course.action is Action.SLOWS) == (
+    assert (course.action is PlanAction.SLOWS) == (
         accel < -0.3 and max(plan.trajectory.v[0], accel) >= 0.1
     )
     causes = [cause for cause in account.causes if cause.kind is not CauseKind.FALLBACK]
@@ -155,11 +155,11 @@ def check(case: PlannerInput, account: Account, world: Scenario, ways: Ways) -> 
 
 def check_opening(sentence: str, plan: Plan, account: Account) -> None:
     path = plan.trajectory
-    if account.course.action is Action.STANDS:
+    if account.course.action is PlanAction.STANDS:
         assert sentence.startswith("Stands")
         assert path.v[path.t <= path.t[0] + 1.0].max() < 0.1 + 1e-9
         return
-    if account.course.action is Action.CRAWLS:
+    if account.course.action is PlanAction.CRAWLS:
         assert sentence.startswith("Crawls")
         assert (
             path.v.min() >= 0.0
@@ -170,7 +170,7 @@ def check_opening(sentence: str, plan: Plan, account: Account) -> None:
     later = re.match(r"Slows down from t = ([\d.]+) s on", sentence)
     assert sentence.startswith("Slows down")
     at_first = sentence.startswith("Slows down at first")
-    assert (later is None and not at_first) == (account.course.action is Action.SLOWS)
+    assert (later is None and not at_first) == (account.course.action is PlanAction.SLOWS)
     if at_first:
         assert path.a[path.t <= path.t[0] + 0.1].min() <= -0.3
     if later:
@@ -407,7 +407,7 @@ def test_a_conflict_is_stated_once() -> None:
         Cause(CauseKind.STOP, "lane 5", "yield", why, False),
         Cause(CauseKind.AGENT, "car 3"),
     )
-    course = Course(Action.SLOWS, 8.0, 0.0, 0.0, 8.0, 8.0, -1.0, 0.0, 0.0)
+    course = Course(PlanAction.SLOWS, 8.0, 0.0, 0.0, 8.0, 8.0, -1.0, 0.0, 0.0)
     numbers = (("2", "0"), 3), (("3", "4"), 2)
     for others, worded in (
         (("car 3",), 1),
@@ -500,9 +500,10 @@ def straight_on(v: FloatArray, a: FloatArray) -> Plan:
 
 
 @pytest.mark.parametrize(
-    ("accel", "action"), [(0.0, Action.HOLDS), (-0.5, Action.SPEEDS), (0.5, Action.SLOWS)]
+    ("accel", "action"),
+    [(0.0, PlanAction.HOLDS), (-0.5, PlanAction.SPEEDS), (0.5, PlanAction.SLOWS)],
 )
-def test_a_plan_in_reverse_does_not_stand(accel: float, action: Action) -> None:
+def test_a_plan_in_reverse_does_not_stand(accel: float, action: PlanAction) -> None:
     v = -4.0 + accel * np.linspace(0.0, 8.0, 81)
     account = why_of(world_with(), straight_on(v, np.full(81, accel)))
     assert (account.course.action, sentences(account)) == (action, [])

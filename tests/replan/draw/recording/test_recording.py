@@ -18,6 +18,7 @@ from sample_drive import BLOCKED, LINE, drive, scenario, to_world
 
 from replan.core.arrays import FloatArray
 from replan.core.errors import ConfigError, OutputError
+from replan.draw.drawn_scene import NEAR_M, NEAREST, Marker, in_full
 from replan.draw.panels import MEASURED, panels
 from replan.draw.plan_graphs import ST
 from replan.draw.recording import colours, scene_times, write_log_recording, write_recording
@@ -44,7 +45,6 @@ from replan.draw.recording.tape import (
     plain,
     strokes,
 )
-from replan.draw.scene import NEAR_M, NEAREST, Marker, in_full
 from replan.explain import Explanation, accounts
 from replan.explain.drive_events import events
 from replan.logs.observed import MAX_AGE_S

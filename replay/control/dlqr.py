@@ -189,7 +189,7 @@ def solve_riccati(A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray) ->
     All NaN where the rounds do not converge: (A, B) cannot be stabilised, or Q does not see an
     unstable mode.
     """
-    out, left, eye = np.full_like(A, np.nan), np.arange(len(A)), np.eye(A.shape[-1])
+    solutions, left, eye = np.full_like(A, np.nan), np.arange(len(A)), np.eye(A.shape[-1])
     G, H = B @ np.linalg.solve(R, np.ascontiguousarray(B.mT)), np.broadcast_to(Q, A.shape)
     with np.errstate(over="ignore", invalid="ignore"):  # H that grows without end is no solution
         for _ in range(MAX_ROUNDS):
@@ -204,12 +204,13 @@ def solve_riccati(A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray) ->
             solved = is_finite & (
                 np.abs(more).max(axis=(1, 2)) <= 1e-13 * np.abs(H).max(axis=(1, 2))
             )
-            out[left[solved]] = H[solved]
+            solutions[left[solved]] = H[solved]
             goes_on = is_finite & ~solved
-            left, A, G, H = left[goes_on], A[goes_on], G[goes_on], H[goes_on]
+            left, A = left[goes_on], A[goes_on]
+            G, H = G[goes_on], H[goes_on]
             if not len(left):
                 break
-    return out
+    return solutions
 
 
 @lru_cache(maxsize=32)
@@ -326,12 +327,12 @@ def kinematic_law(
 @inner_kernel
 def steer_rolling(law: KinematicLaw, now: EgoState, off: Deviation, knots: FloatArray) -> float:
     """Front wheel angle to command, rad."""
-    here = atan(law.wheelbase * path_kappa(knots, off.foot))
+    present = atan(law.wheelbase * path_kappa(knots, off.foot))
     ahead = atan(law.wheelbase * path_kappa(knots, off.foot + now.v * law.preview))
     command = (
         ahead
         - gain(law.gains, now.v, 0) * off.lateral
         - gain(law.gains, now.v, 1) * off.heading
-        - gain(law.gains, now.v, 2) * (now.steer - here)  # (11)
+        - gain(law.gains, now.v, 2) * (now.steer - present)  # (11)
     )
     return min(max(command, -law.max_steer), law.max_steer)

@@ -64,6 +64,9 @@ SPREAD_S = 0.15
 SLOPE_S = 0.05
 """Half of the time over which the curvature's rate is taken."""
 
+YAW_RATE, STEER = 3, 4
+"""Rows of `lateral_table`."""
+
 SteerSeries = tuple[float, float, float]
 """d_0 rad m, d_1 rad m s, d_2 rad m s2."""
 
@@ -83,7 +86,8 @@ def error_model(v: float, p: VehicleParameters) -> tuple[FloatArray, FloatArray,
     rate v kappa.
     """
     a, b = p.cog_to_front, p.wheelbase - p.cog_to_front
-    m, inertia, front, rear = p.mass, p.yaw_inertia, p.cornering_front, p.cornering_rear
+    m, inertia = p.mass, p.yaw_inertia
+    front, rear = p.cornering_front, p.cornering_rear
     both, moment, turning = front + rear, b * rear - a * front, a * a * front + b * b * rear
     A = np.array(  # (2)
         [
@@ -213,14 +217,14 @@ def lateral_table(p: VehicleParameters, h: float) -> FloatArray:
     steer / L.
     """
     tables = np.zeros((len(table_speeds()), 5, 6))
-    for out, v in zip(tables, table_speeds().tolist(), strict=True):
+    for table, v in zip(tables, table_speeds().tolist(), strict=True):
         if has_rigid_tyres(p):
             turn = v / p.wheelbase
             A = np.array([[0.0, v, 0.0], [0.0, 0.0, turn], [0.0, 0.0, 0.0]])
-            out[np.ix_([0, 2, 4], [0, 2, 4, 5])] = np.hstack(
+            table[np.ix_([0, 2, 4], [0, 2, 4, 5])] = np.hstack(
                 held(A, np.array([[0.0], [0.0], [1.0]]), h)
             )
-            out[3] = turn * out[4]
+            table[YAW_RATE] = turn * table[STEER]
         else:
             body, steered = body_model(v, p)
             A = np.zeros((5, 5))
@@ -228,7 +232,7 @@ def lateral_table(p: VehicleParameters, h: float) -> FloatArray:
             A[2, 3] = 1.0
             A[np.ix_([1, 3], [1, 3])] = body
             A[[1, 3], 4] = steered
-            out[:] = np.hstack(held(A, np.array([[0.0], [0.0], [0.0], [0.0], [1.0]]), h))
+            table[:] = np.hstack(held(A, np.array([[0.0], [0.0], [0.0], [0.0], [1.0]]), h))
     return frozen(tables)
 
 
@@ -275,15 +279,15 @@ def within(knots: FloatArray, s: float, reach: float) -> float:
 @kernel
 def steer_for(knots: FloatArray, s: float, v: float, d: SteerSeries) -> float:
     """Wheel angle at station `s` of a path, speed `v`, rad."""
-    at, reach = s + v * d[1] / d[0], v * SPREAD_S
-    mid = within(knots, at, reach)
+    ahead, reach = s + v * d[1] / d[0], v * SPREAD_S
+    mid = within(knots, ahead, reach)
     bend = (
         path_kappa(knots, mid + reach)
         - 2.0 * path_kappa(knots, mid)
         + path_kappa(knots, mid - reach)
     )
     bend /= SPREAD_S * SPREAD_S
-    return d[0] * path_kappa(knots, at) + (d[2] - 0.5 * d[1] * d[1] / d[0]) * bend  # (6)
+    return d[0] * path_kappa(knots, ahead) + (d[2] - 0.5 * d[1] * d[1] / d[0]) * bend  # (6)
 
 
 @kernel

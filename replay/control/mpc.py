@@ -345,7 +345,8 @@ class Mpc:
 
     def _solve(self, state: EgoState, path: PlanPath, off: Deviation) -> None:
         """Solve (1)-(2) from the deviation xi now."""
-        config, p, v, delay = self._config, self._p, state.v, self._delay
+        config, delay = self._config, self._delay
+        p, v = self._p, state.v
         train = self._train.pedal_map
         lags = (train.throttle_lag, train.brake_lag, self._train.coasting(v))
         along = entered(

@@ -200,7 +200,8 @@ def quintic(
     """Value, first and second derivative of (7) at `tau` in [0, 1], from those at both ends of `h`
     s.
     """
-    v0, a0, v1, a1 = h * v0, h * h * a0, h * v1, h * h * a1
+    v0, a0 = h * v0, h * h * a0
+    v1, a1 = h * v1, h * h * a1
     rise = p1 - p0 - v0 - 0.5 * a0
     slope, bend = v1 - v0 - a0, a1 - a0
     c3 = 10.0 * rise - 4.0 * slope + 0.5 * bend

@@ -61,14 +61,16 @@ def run_closed_loop(
         if step % setup.steps_per_plan == 0:
             try:
                 frame = perception.frame(world, latency.before(step))
-                made = planning.plan(frame)
+                new_plan = planning.plan(frame)
             except PlannerError as failure:
                 end = Ended(step, EndReason.PLANNER_FAILURE, str(failure))
                 break
-            recorder.planned(frame, made)
-            latency.planned(step, made)
+            recorder.planned(frame, new_plan)
+            latency.planned(step, new_plan)
         plan = latency.at(step)
-        until = min(setup.horizon(step, period.most_steps), latency.changes(step))
+        until = setup.horizon(step) if period.is_compiled else step + 1
+        change = latency.next_change(step)
+        until = until if change is None else min(until, change)
         period.run(plan, recorder.rows, step, until - step)
         end = ended(recorder.rows, step + 1, until, world.tracks)
         if end is None:

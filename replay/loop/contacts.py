@@ -61,7 +61,11 @@ class AgentBoxes(NamedTuple):
 def agent_boxes(tracks: Tracks, left_out: tuple[Phantom, ...] = ()) -> AgentBoxes:
     """Return the boxes of the tracks; the phantoms `left_out` are absent."""
     place = {agent: i for i, agent in enumerate(tracks.ids)} if left_out else {}
-    absent = [(place[one.agent], one.t_from, one.t_to) for one in left_out if one.agent in place]
+    absent = [
+        (place[phantom.agent], phantom.t_from, phantom.t_to)
+        for phantom in left_out
+        if phantom.agent in place
+    ]
     return AgentBoxes(
         tracks.offsets,
         tracks.static,
@@ -95,7 +99,7 @@ def touched(
 
     Returns row `end` and agent -1 if there is no touch; of several agents at one row, the first.
     """
-    own, who = hypot(car.length, car.width), -1
+    own, first_agent = hypot(car.length, car.width), -1
     egos, beyond = rows[first:end]["ego"], abs(car.ahead) + ROUNDING_M
     for i in range(len(agents.offsets) - 1):
         near = 0.5 * (own + hypot(agents.length[i], agents.width[i])) + ROUNDING_M
@@ -119,9 +123,9 @@ def touched(
                 agents.length[i],
                 agents.width[i],
             ):
-                end, who = r, i
+                end, first_agent = r, i
                 break
-    return end, who
+    return end, first_agent
 
 
 @inner_kernel

@@ -54,7 +54,8 @@ NEARER = 4.0
 is taken for one in the map's. Not infinitely: the way points of a planner that gets the ego in the
 other coordinates begin somewhere.
 """
-SPEED_MPS, YAW_RAD, LATERAL_MPS2, ACCEL_MPS = 1.0, 0.1, 2.5, 1.0
+SPEED_MPS, YAW_RAD = 1.0, 0.1
+LATERAL_MPS2, ACCEL_MPS = 2.5, 1.0
 STEP_M = 0.1
 """Shorter steps have no direction."""
 WINDOW_S = 0.5
@@ -111,9 +112,9 @@ def checked(plan: Plan, frame: Frame, origin: tuple[float, float] = (0.0, 0.0)) 
         start, ego, after = PlanStart.EGO, frame.ego, 0.1 * np.arange(31)
         speed = np.maximum(abs(ego.v) - BRAKE_MPS2 * after, 0.0) * np.sign(ego.v)
         slowing = np.minimum(after, abs(ego.v) / BRAKE_MPS2)
-        way = np.sign(ego.v) * (abs(ego.v) * slowing - 0.5 * BRAKE_MPS2 * slowing**2)
-        half_turn = 0.5 * ego.kappa * way
-        chord = way * np.sinc(half_turn / np.pi)
+        driven = np.sign(ego.v) * (abs(ego.v) * slowing - 0.5 * BRAKE_MPS2 * slowing**2)
+        half_turn = 0.5 * ego.kappa * driven
+        chord = driven * np.sinc(half_turn / np.pi)
         x, y = (
             ego.x + chord * np.cos(ego.yaw + half_turn),
             ego.y + chord * np.sin(ego.yaw + half_turn),
@@ -200,7 +201,8 @@ def measured_off(
 ) -> Off:
     """`Off` of a plan's columns `(n,)`, n >= 2."""
     n = len(t)
-    speed, heading, lateral, accel, fastest, hardest = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    speed = heading = lateral = 0.0
+    accel = fastest = hardest = 0.0
     drift = np.empty(n)
     drift[0], gained = v[0], 0.0
     h_before, d_before = 0.0, 0.0
@@ -238,10 +240,10 @@ def of_positions(plan: Trajectory) -> Trajectory:
     whether a step is driven in reverse.
     """
     dx, dy = np.diff(plan.x), np.diff(plan.y)
-    d, way = np.hypot(dx, dy), np.arctan2(dy, dx)
+    d, course = np.hypot(dx, dy), np.arctan2(dy, dx)
     moved = d >= STEP_M
     sign = np.where(0.5 * (plan.v[1:] + plan.v[:-1]) < 0.0, -1.0, 1.0)
-    heading = np.where(sign < 0.0, way + np.pi, way)
+    heading = np.where(sign < 0.0, course + np.pi, course)
     last = np.maximum.accumulate(np.where(moved, np.arange(len(d)), -1))
     heading = np.unwrap(np.where(last >= 0, heading[np.maximum(last, 0)], plan.yaw[0]))
     speed = sign * d / np.diff(plan.t)

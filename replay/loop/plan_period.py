@@ -48,9 +48,6 @@ from replan.replay.vehicle.records import (
 )
 from replan.replay.vehicle.single_track import SingleTrack, SingleTrackState, named_car
 
-UNLIMITED_STEPS = 1 << 30
-NO_STEP = 1 << 62
-
 
 class Latency:
     """Delays plans: each is driven from `delay` control steps after its frame; the first one at
@@ -77,11 +74,11 @@ class Latency:
         self._coming.append((step + self._delay, plan))
         self.driven = self.driven or plan
 
-    def changes(self, step: int) -> int:
-        """The first step after `step` at which another plan may take effect; `NO_STEP` if none is
+    def next_change(self, step: int) -> int | None:
+        """The first step after `step` at which another plan may take effect; None if none is
         pending.
         """
-        return next((due for due, _ in self._coming if due > step), NO_STEP)
+        return next((due for due, _ in self._coming if due > step), None)
 
     def at(self, step: int) -> Plan:
         """The plan to drive at `step`, after the first was made; steps do not decrease."""
@@ -192,18 +189,14 @@ class PlanPeriod:
         period: Control period, s.
 
     Attributes:
-        most_steps: The greatest number of control steps in one call.
+        is_compiled: Whether a call runs all of its steps in one kernel.
     """
 
     def __init__(self, controller: Controller, vehicle: Vehicle, period: float) -> None:
-        self._controller, self._vehicle, self._period, self._tracker = (
-            controller,
-            vehicle,
-            period,
-            Tracker(),
-        )
+        self._controller, self._vehicle = controller, vehicle
+        self._period, self._tracker = period, Tracker()
         self._run = RUNS.get((type(controller), type(vehicle)))
-        self.most_steps = UNLIMITED_STEPS if self._run else 1
+        self.is_compiled = self._run is not None
 
     def run(self, plan: Plan, rows: Records, first: int, count: int) -> None:
         """Drive `count` control steps along the plan, from row `first`, which holds motion and

@@ -204,13 +204,13 @@ def with_probe(drive: Drive, again: Trace, until_s: float) -> Drive:
         again: The same scenario, planner and loop, driven once more up to `until_s`.
         until_s: s since the scenario's start; later frames are not compared.
     """
-    found = nondeterminism(drive.trace, again, until_s)
-    return marked_random(drive, found) if found else drive
+    difference = nondeterminism(drive.trace, again, until_s)
+    return marked_random(drive, difference) if difference else drive
 
 
-def marked_random(drive: Drive, found: str) -> Drive:
+def marked_random(drive: Drive, difference: str) -> Drive:
     """Return the drive with the mark and a note that its planner is not deterministic."""
-    notes = (*drive.trace.notes, f"not deterministic: {found}")
+    notes = (*drive.trace.notes, f"not deterministic: {difference}")
     return replace(
         drive, trace=replace(drive.trace, notes=notes), marks=(*drive.marks, Mark.NOT_DETERMINISTIC)
     )
@@ -221,15 +221,15 @@ def nondeterminism(trace: Trace, again: Trace, until_s: float) -> str:
     `until_s`.
     """
     first, second = (
-        [frame for frame in one.frames if frame.t <= until_s] for one in (trace, again)
+        [frame for frame in drive.frames if frame.t <= until_s] for drive in (trace, again)
     )
-    for one, other in zip_longest(first, second):
-        if one is None or other is None:
+    for frame, other in zip_longest(first, second):
+        if frame is None or other is None:
             shorter = again if other is None else trace
             failed = shorter.end is EndReason.PLANNER_FAILURE
             why = shorter.detail if failed else f"it ended by {shorter.end.value}"
             return f"{trace.planner}, driven twice: it goes on only once: {why}"
-        a, b, status = one.plan.trajectory, other.plan.trajectory, one.plan.status
+        a, b, status = frame.plan.trajectory, other.plan.trajectory, frame.plan.status
         if len(a) != len(b):
             difference = f"the plans have {len(a)} and {len(b)} states"
         elif status is not other.plan.status:
@@ -244,5 +244,5 @@ def nondeterminism(trace: Trace, again: Trace, until_s: float) -> str:
             difference = f"the plans differ by up to {metres:.3g} m and {speed:.3g} m/s"
         else:
             continue
-        return f"{trace.planner}, driven twice: {difference} at {one.t:.2f} s"
+        return f"{trace.planner}, driven twice: {difference} at {frame.t:.2f} s"
     return ""

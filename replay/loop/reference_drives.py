@@ -82,12 +82,12 @@ def reference_line(scenario: Scenario) -> ReferenceLine:
 @once  # needed before the scenario has its references, and again for the reference drives
 def _line(road: Road, start: EgoState, goal: Goal | None) -> ReferenceLine:
     route = find_route(road, start, goal)
-    kept = 1
+    connected = 1  # lanes until the first change of lane
     for before, now in pairwise(route):
         if now not in road.lanes[before].successors:
             break
-        kept += 1
-    return make_line(road, route[:kept], start)[1]
+        connected += 1
+    return make_line(road, route[:connected], start)[1]
 
 
 def with_avoidability(scenario: Scenario) -> Scenario:
@@ -176,8 +176,8 @@ def discriminate(scenario: Scenario, loop: LoopConfig = DEFAULT_LOOP) -> tuple[D
     gates = load_gates(None)
     values = [dict(zip(table["metric"], table["value"], strict=True)) for table in tables]
     return tuple(
-        discrimination(driver, gates, labels, each)
-        for driver, each in zip(BAD_DRIVERS, values, strict=False)
+        discrimination(driver, gates, labels, metrics_of)
+        for driver, metrics_of in zip(BAD_DRIVERS, values, strict=False)
     )
 
 
@@ -207,7 +207,7 @@ def late_follower(
                 return []
             if mode == Mode.CLOSED.value and metric in asked:
                 values.setdefault(planner, {})[metric] = value
-    needed = any(needs_follower(mine) for mine in values.values())
+    needed = any(needs_follower(of_planner) for of_planner in values.values())
     return [with_follower(scenario, loop)[1]] if needed else []
 
 

@@ -5,7 +5,7 @@ configured.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import ceil, floor, inf
+from math import ceil, floor, inf, isfinite
 
 from replan.core.errors import LogError
 from replan.logs.observed import observed_until
@@ -113,14 +113,12 @@ class SimulationSetup:
         """Return the object that runs controller and vehicle."""
         return PlanPeriod(self.controller, self.vehicle, self.period)
 
-    def horizon(self, step: int, most: int) -> int:
-        """Return the next step with a frame or a reaction of the traffic, at most `most` after
-        `step`.
-        """
+    def horizon(self, step: int) -> int:
+        """Return the next step after `step` with a frame or a reaction of the traffic."""
         frame = step - step % self.steps_per_plan + self.steps_per_plan
         ahead = (self.traffic.due - self.vehicle.state.t) / self.period
-        reacts = step + max(ceil(ahead - ROUNDING), 1) if ahead < most else self.steps
-        return min(frame, reacts, step + most, self.steps)
+        reacts = step + max(ceil(ahead - ROUNDING), 1) if isfinite(ahead) else self.steps
+        return min(frame, reacts, self.steps)
 
 
 def controller_of(

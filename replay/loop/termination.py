@@ -98,11 +98,13 @@ def first_event(
     lane that the ego was on.
     """
     contact, _ = touched(rows, first, end, car, agents)
+    low_x, high_x, low_y, high_y = goal
     for k in range(first, min(contact + 1, end)):
         ego = rows[k].ego
         x, y = ego.x + car.ahead * cos(ego.yaw), ego.y + car.ahead * sin(ego.yaw)
         off, on = metres_off(lanes, on, x, y)
-        if k == contact or off > CRACK_M or (goal[0] <= x <= goal[1] and goal[2] <= y <= goal[3]):
+        near_goal = low_x <= x <= high_x and low_y <= y <= high_y
+        if k == contact or off > CRACK_M or near_goal:
             return k, k == contact, off, on
     return end, False, 0.0, on
 
@@ -180,8 +182,8 @@ class Termination:
                 real, driven = without_phantoms(tracks.whole, self._phantoms), egos[: k + 1]
                 # Earlier touches would have ended the drive
                 recent = trajectory_of(driven[driven["t"] >= egos[k].t - LOOK_BACK_S])
-                found = classify(recent, real, self._scenario)
-                worst = max(found, key=lambda touch: touch.at_fault, default=None)
+                touches = classify(recent, real, self._scenario)
+                worst = max(touches, key=lambda touch: touch.at_fault, default=None)
                 if worst is not None:
                     name = name_of(real, worst.agent)
                     if worst.at_fault:

@@ -248,7 +248,7 @@ def _turn(map_: LaneSamples, lane: int, s: float) -> float:
 
 @inner_kernel
 def _extend_way(
-    map_: LaneSamples, h: int, made: int, reach: float, speed: float, ways: LaneWays
+    map_: LaneSamples, h: int, count: int, reach: float, speed: float, ways: LaneWays
 ) -> int:
     """Extend sequence `h` to `reach` m from its start; forks add sequences.
 
@@ -271,17 +271,17 @@ def _extend_way(
                 best = k
         for k in range(begin, end):
             weight = _weight(map_, map_.following[k], speed, covered)
-            if k != best and made < WAYS and weight >= LEAST * total > 0.0:
-                _copy_way(ways, h, ways, made, share[h] * weight / total)
-                lanes[made, depth[h]] = map_.following[k]
-                depth[made] += 1
-                made += 1
+            if k != best and count < WAYS and weight >= LEAST * total > 0.0:
+                _copy_way(ways, h, ways, count, share[h] * weight / total)
+                lanes[count, depth[h]] = map_.following[k]
+                depth[count] += 1
+                count += 1
         if total > 0.0:
             share[h] *= _weight(map_, map_.following[best], speed, covered) / total
         lanes[h, depth[h]] = map_.following[best]
         depth[h] += 1
         covered += _length(map_, map_.following[best])
-    return made
+    return count
 
 
 @inner_kernel

@@ -50,7 +50,8 @@ from replan.replay.vehicle.pedal_map import (
 )
 
 MAX_SPEED_MPS = 90.0
-RESERVE, CRUISE, LUG, MIN_HOLD_S = 1.15, 1.6, 1.2, 1.0
+RESERVE, CRUISE, LUG = 1.15, 1.6, 1.2
+MIN_HOLD_S = 1.0
 SHIFT_THROTTLE = 0.5
 SHORTEST_LAG_S = 1e-3
 """Least lag; replaces a lag of zero."""
@@ -228,11 +229,11 @@ def spans(line: Pending, command: float, dt: float) -> tuple[list[tuple[float, f
     """
     dt_ns = round(dt * 1e9)
     line = commanded(with_room(line, dt_ns), command)
-    end, found = line.now_ns + dt_ns, []
+    end, parts = line.now_ns + dt_ns, []
     while line.now_ns < end:
         span, value, line = next_span(line, end)
-        found.append((span, value))
-    return found, line
+        parts.append((span, value))
+    return parts, line
 
 
 @dataclass(frozen=True)

@@ -316,8 +316,8 @@ class Perfect:
     def control(self, state: EgoState, plan: Plan) -> Command:
         """Set the plan to follow; return the command that would drive it."""
         self._path = self._tracker.path(plan)
-        there = self._on_path(self._path, state.t)
-        return Command(there.steer, *steady_pedals(self.powertrain, there.a, there.v))
+        planned = self._on_path(self._path, state.t)
+        return Command(planned.steer, *steady_pedals(self.powertrain, planned.a, planned.v))
 
     def step(self, command: Command, dt: float) -> EgoState:
         """Move to the plan's state `dt` s later; the command has no effect.

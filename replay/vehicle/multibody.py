@@ -66,8 +66,11 @@ STABLE = 1.2
 SHARE = 0.85
 SETS = (1, 2, 3)
 """Vehicles of the package: Ford Escort, BMW 320i, VW Vanagon."""
-STEER, VX, YAW, YAW_RATE, VY, WHEELS = 2, 3, 4, 5, 10, range(23, 27)
-FRONT_ROLL, FRONT_Z, REAR_ROLL, REAR_Z = 13, 16, 18, 21
+STEER, VX, YAW = 2, 3, 4
+YAW_RATE, VY, WHEELS = 5, 10, range(23, 27)
+FRONT_ROLL, FRONT_Z = 13, 16
+REAR_ROLL, REAR_Z = 18, 21
+"""Places in the package's state."""
 
 Rates = Callable[[list[float], list[float], Any], list[float]]
 
@@ -241,15 +244,14 @@ def package_parameters(p: VehicleParameters, tyre_stiffness: float = 1.0) -> Any
         raise ConfigError(f"tyre_stiffness must be positive, got {tyre_stiffness}")
     setup = import_module("vehiclemodels.vehicle_parameters").setup_vehicle_parameters
     q = deepcopy(
-        min((setup(vehicle_id=number) for number in SETS), key=lambda one: abs(one.m - p.mass))
+        min(
+            (setup(vehicle_id=number) for number in SETS),
+            key=lambda package: abs(package.m - p.mass),
+        )
     )
     q.m_s = p.mass - q.m_uf - q.m_ur
-    q.m, q.I_z, q.a, q.b = (
-        float(p.mass),
-        float(p.yaw_inertia),
-        float(p.cog_to_front),
-        float(p.cog_to_rear),
-    )
+    q.m, q.I_z = float(p.mass), float(p.yaw_inertia)
+    q.a, q.b = float(p.cog_to_front), float(p.cog_to_rear)
     ratio = p.tyre_friction / q.tire.p_dy1
     q.tire.p_dy1, q.tire.p_dx1 = q.tire.p_dy1 * ratio, q.tire.p_dx1 * ratio
     q.tire.p_ky1 *= tyre_stiffness

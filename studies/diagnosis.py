@@ -34,7 +34,7 @@ from replan.core.errors import ReplanError
 from replan.draw.drawn_results import Results
 from replan.experiments.changes import NOT_FOUND, load_changes
 from replan.experiments.diagnose import diagnose, question
-from replan.experiments.findings import Diagnosis
+from replan.experiments.diagnosis import Diagnosis
 from replan.logs.agents import AgentKind, Agents, among
 from replan.logs.frame import Predictions
 from replan.replay.prediction import LaneMap

@@ -234,7 +234,7 @@ def say_axes(*, as_json: bool) -> None:
 
 def say_agents(scenario: Scenario, *, as_json: bool) -> None:
     """Print the agents of a log, the nearest first."""
-    from replan.experiments.encounters import encounters, lines
+    from replan.experiments.ego_encounters import encounters, lines
 
     agents = encounters(scenario)
     say_json(agents) if as_json else say("\n".join(lines(agents, scenario.short_names)))

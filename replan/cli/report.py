@@ -167,7 +167,7 @@ def report(
     from replan.draw.drawn_results import load
     from replan.draw.report.overview import overview
     from replan.draw.report.write import write_reports
-    from replan.experiments.findings import read_diagnosis
+    from replan.experiments.diagnosis import read_diagnosis
     from replan.results.tables import REPORTS
     from replan.run.claim import FolderContents, claimed_folder
     from replan.run.output import held

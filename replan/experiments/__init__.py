@@ -3,7 +3,7 @@
 
     trial.py           shared by all: scenarios made, driven and read as trials; tables of trials
     recorded_log.py    the recorded log prepared for variation
-    encounters.py      distances of road users to the ego, and the one in conflict with it
+    ego_encounters.py  distances of road users to the ego, and the one in conflict with it
 
     vary       a surface of pass and fail over one or two parameters
     question.py        the varied parameters and their values
@@ -27,7 +27,7 @@
                        predictions; failure_words.py, the words
     remedy.py          the smallest change of one setting that passes, and the drives of the run
                        that it breaks
-    diagnose.py, findings.py   a whole diagnosis, and its sentences, page and tables
+    diagnose.py, diagnosis.py  a whole diagnosis, and its sentences, page and tables
 
 Each takes its question, and `out`, a folder that is new, empty, or holds an earlier result, which
 is replaced or, with `resume`, gone on with (None: the next free one); `workers`, the number of

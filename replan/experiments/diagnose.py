@@ -5,7 +5,7 @@
                               them; first "as_it_was"
     OUT/study.jsonl           the drives; `--resume` continues from it
 
-and the files of `replan.experiments.findings`. The same run gives the same diagnosis at any number
+and the files of `replan.experiments.diagnosis`. The same run gives the same diagnosis at any number
 of workers.
 """
 
@@ -26,6 +26,7 @@ from replan.core.errors import ConfigError, LogError, unknown_name
 from replan.core.names import counted
 from replan.draw.drawn_results import DriveResult, Results, load
 from replan.experiments.changes import ChangedRun, TriedChange, cause_of, changed_runs, driven
+from replan.experiments.diagnosis import AS_IT_WAS, Diagnosis, DriveFinding
 from replan.experiments.drives import (
     CONTROLS,
     ChangedDrive,
@@ -52,7 +53,6 @@ from replan.experiments.failure import (
     lane_change,
     waits,
 )
-from replan.experiments.findings import AS_IT_WAS, Diagnosis, DriveFinding
 from replan.experiments.remedy import Remedy, smallest_change
 from replan.experiments.space import Setting, Value, shown, with_values
 from replan.experiments.trial import MODE, scratch_folder

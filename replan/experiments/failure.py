@@ -32,7 +32,7 @@ from math import hypot, inf
 import numpy as np
 
 from replan.core.arrays import FloatArray
-from replan.experiments.failure_words import BRAKING, OUTCOMES, ROAD_USER, Fault
+from replan.experiments.failure_words import BRAKING, OUTCOMES, ROAD_USER, DriveFault
 from replan.explain.causes import KEEP, Account, CauseKind
 from replan.explain.explanation import lane_options, taken_option
 from replan.explain.sentences import NAMES
@@ -111,19 +111,19 @@ class DriveDifference:
         )
 
     @property
-    def fault(self) -> Fault:
+    def fault(self) -> DriveFault:
         """How F differs from P; NONE if nothing is known."""
         brakes, would_brake = self.brakes_s, self.would_brake_s
         if would_brake is not None and self.ahead_m > APART_M:
             if brakes is None:
-                return Fault.DOES_NOT_BRAKE
+                return DriveFault.DOES_NOT_BRAKE
             if brakes - would_brake >= LATE_S:  # (4)
-                return Fault.BRAKES_LATE
+                return DriveFault.BRAKES_LATE
             if self.hardest_mps2 - self.would_hardest_mps2 > WEAKER_MPS2:
-                return Fault.BRAKES_WEAKLY
+                return DriveFault.BRAKES_WEAKLY
         if self.aside_m > APART_M:  # (5)
-            return Fault.KEEPS_RIGHT if self.left_m > 0.0 else Fault.KEEPS_LEFT
-        return Fault.NONE
+            return DriveFault.KEEPS_RIGHT if self.left_m > 0.0 else DriveFault.KEEPS_LEFT
+        return DriveFault.NONE
 
     @property
     def braking_mps2(self) -> float:
@@ -229,17 +229,21 @@ class Foresight:
         return cls(frame.t, True, *(round(float(number), 6) for number in numbers))
 
     @property
-    def fault(self) -> Fault:
+    def fault(self) -> DriveFault:
         """The error of the perception, else of the prediction; NONE if none is known."""
         if not self.is_seen:
-            return Fault.NOT_SEEN
+            return DriveFault.NOT_SEEN
         if self.seen_off_m > MISSED_M:
-            return Fault.SEEN_ELSEWHERE
+            return DriveFault.SEEN_ELSEWHERE
         if self.off_m <= MISSED_M:
-            return Fault.NONE
+            return DriveFault.NONE
         if self.predicted_m < STAYS_M:
-            return Fault.PREDICTED_TO_STAND
-        return Fault.PREDICTED_TO_MOVE if self.moved_m < STAYS_M else Fault.PREDICTED_ELSEWHERE
+            return DriveFault.PREDICTED_TO_STAND
+        return (
+            DriveFault.PREDICTED_TO_MOVE
+            if self.moved_m < STAYS_M
+            else DriveFault.PREDICTED_ELSEWHERE
+        )
 
 
 @dataclass(frozen=True)
@@ -310,13 +314,13 @@ class GoalMiss:
         return cls(state.t, float(ahead), float(left), unmet)
 
     @property
-    def fault(self) -> Fault:
+    def fault(self) -> DriveFault:
         """How the goal is missed."""
         if "place" not in self.unmet:
-            return Fault.MISSES_CONDITION
+            return DriveFault.MISSES_CONDITION
         if abs(self.ahead_m) >= self.aside_m:
-            return Fault.IS_SLOW
-        return Fault.PASSES_RIGHT if self.left_m > 0.0 else Fault.PASSES_LEFT
+            return DriveFault.IS_SLOW
+        return DriveFault.PASSES_RIGHT if self.left_m > 0.0 else DriveFault.PASSES_LEFT
 
     @property
     def conditions(self) -> str:
@@ -380,9 +384,9 @@ class DriveFailure:
         lane = f" while changing to the {self.lane} lane" if self.lane else ""
         behaviour = self.missed or self.difference
         fault, words = behaviour.fault, behaviour.fault.words(behaviour)
-        if fault is Fault.NONE:
+        if fault is DriveFault.NONE:
             return f"{outcome.replace('{}', agent)}{lane}"
-        is_for_agent = fault is Fault.DOES_NOT_BRAKE or (self.brakes_for and fault in BRAKING)
+        is_for_agent = fault is DriveFault.DOES_NOT_BRAKE or (self.brakes_for and fault in BRAKING)
         if self.who and is_for_agent:
             return f"{words} for {agent}, and {outcome.replace('{}', pronoun)}{lane}"
         return f"{words}, and {outcome.replace('{}', agent)}{lane}"

@@ -13,7 +13,7 @@ _MOVES = (
 )
 
 
-class Fault(Enum):
+class DriveFault(Enum):
     """A fault of a drive, of its perception or of its prediction.
 
     Each has the words of the sentence, and the numbers beside it; {0} is the fact that has the
@@ -81,7 +81,7 @@ class Fault(Enum):
         return self._numbers.format(fact)
 
 
-BRAKING = (Fault.DOES_NOT_BRAKE, Fault.BRAKES_LATE, Fault.BRAKES_WEAKLY)
+BRAKING = (DriveFault.DOES_NOT_BRAKE, DriveFault.BRAKES_LATE, DriveFault.BRAKES_WEAKLY)
 """Faults of braking, which may be meant for a road user."""
 OUTCOMES: Mapping[str, str] = MappingProxyType(
     {

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from replan.core.errors import ConfigError, unknown_name
-from replan.experiments.encounters import conflicting_agent
+from replan.experiments.ego_encounters import conflicting_agent
 from replan.logs.edit.variations import VARIATIONS
 from replan.logs.scenario import Scenario
 
@@ -175,7 +175,7 @@ def question_about(
     conflict.
 
     Raises:
-        ConfigError: As `question` and `replan.experiments.encounters.conflicting_agent`.
+        ConfigError: As `question` and `replan.experiments.ego_encounters.conflicting_agent`.
     """
     asked = question(words, [*map(scenario.short_names.whole, agents)], resolution)
     if agents or not asked.varies_agents:

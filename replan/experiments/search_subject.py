@@ -39,7 +39,7 @@ import numpy as np
 
 from replan.core.arrays import FloatArray
 from replan.core.errors import ConfigError, LogError, unknown_name
-from replan.experiments.encounters import conflicting_agent
+from replan.experiments.ego_encounters import conflicting_agent
 from replan.experiments.question import check_agents, vary_agents
 from replan.experiments.recorded_log import opened, prepared
 from replan.logs.catalogue.family import Family

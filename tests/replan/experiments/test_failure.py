@@ -25,7 +25,7 @@ from replan.experiments.failure import (
     lane_change,
     waits,
 )
-from replan.experiments.failure_words import OUTCOMES, Fault
+from replan.experiments.failure_words import OUTCOMES, DriveFault
 from replan.explain.causes import Account, Cause, CauseKind
 from replan.explain.course import Course, PlanAction
 from replan.logs.agents import AgentKind
@@ -74,14 +74,14 @@ def test_faults_of_braking_are_those_of_the_drives(
     passing, failing = braked(at, decel), braked(at + late, share * decel)
     difference = compared_drives(failing, passing)
     fault = difference.fault
-    if fault is not Fault.NONE:
+    if fault is not DriveFault.NONE:
         assert difference.would_brake_s == pytest.approx(at, abs=0.02) and difference.ahead_m > 0.0
-    if fault in (Fault.BRAKES_LATE, Fault.BRAKES_WEAKLY):
+    if fault in (DriveFault.BRAKES_LATE, DriveFault.BRAKES_WEAKLY):
         assert difference.brakes_s == pytest.approx(at + late, abs=0.02)
         assert difference.hardest_mps2 == pytest.approx(-share * decel, abs=1e-6)
-    assert fault is not Fault.BRAKES_LATE or late > LATE_S - 0.02
-    assert fault is not Fault.BRAKES_WEAKLY or share < 1.0
-    assert fault is not Fault.DOES_NOT_BRAKE or share * decel <= 0.5
+    assert fault is not DriveFault.BRAKES_LATE or late > LATE_S - 0.02
+    assert fault is not DriveFault.BRAKES_WEAKLY or share < 1.0
+    assert fault is not DriveFault.DOES_NOT_BRAKE or share * decel <= 0.5
     failed, passed = (
         drive(moved(LOG, turn, 3.0, 4.0), moved_ego(ego, turn, 3.0, 4.0))
         for ego in (failing, passing)
@@ -92,22 +92,22 @@ def test_faults_of_braking_are_those_of_the_drives(
 @pytest.mark.parametrize(
     ("failing", "passing", "until", "fault"),
     [
-        (braked(3.0, 4.0), braked(2.0, 4.0), inf, Fault.BRAKES_LATE),
-        (braked(3.0, 4.0), braked(2.0, 4.0), 2.9, Fault.BRAKES_LATE),
-        (AS_LOGGED, braked(2.0, 4.0), 2.9, Fault.DOES_NOT_BRAKE),
-        (braked(2.0, 2.0), braked(2.0, 4.0), inf, Fault.BRAKES_WEAKLY),
-        (braked(2.0, 1.0), braked(2.0, 4.0), 2.1, Fault.NONE),
-        (braked(2.0, 4.0), AS_LOGGED, inf, Fault.NONE),
-        (AS_LOGGED, braked(9.0, 0.0, 0.5), inf, Fault.KEEPS_RIGHT),
-        (AS_LOGGED, braked(9.0, 0.0, -0.5), 3.0, Fault.KEEPS_LEFT),
+        (braked(3.0, 4.0), braked(2.0, 4.0), inf, DriveFault.BRAKES_LATE),
+        (braked(3.0, 4.0), braked(2.0, 4.0), 2.9, DriveFault.BRAKES_LATE),
+        (AS_LOGGED, braked(2.0, 4.0), 2.9, DriveFault.DOES_NOT_BRAKE),
+        (braked(2.0, 2.0), braked(2.0, 4.0), inf, DriveFault.BRAKES_WEAKLY),
+        (braked(2.0, 1.0), braked(2.0, 4.0), 2.1, DriveFault.NONE),
+        (braked(2.0, 4.0), AS_LOGGED, inf, DriveFault.NONE),
+        (AS_LOGGED, braked(9.0, 0.0, 0.5), inf, DriveFault.KEEPS_RIGHT),
+        (AS_LOGGED, braked(9.0, 0.0, -0.5), 3.0, DriveFault.KEEPS_LEFT),
     ],
 )
 def test_the_fault_of_two_drives(
-    failing: Trajectory, passing: Trajectory, until: float, fault: Fault
+    failing: Trajectory, passing: Trajectory, until: float, fault: DriveFault
 ) -> None:
     difference = compared_drives(failing, passing, until)
     assert difference.fault is fault
-    if fault in (Fault.KEEPS_LEFT, Fault.KEEPS_RIGHT):
+    if fault in (DriveFault.KEEPS_LEFT, DriveFault.KEEPS_RIGHT):
         assert difference.aside_m == pytest.approx(0.5)
 
 
@@ -180,24 +180,24 @@ def test_the_fault_of_a_prediction_is_its_error(
 ) -> None:
     foresight = Foresight.of(shown(speed, predicted, off, seen=seen), "ped 7", 1.3)
     if not seen:
-        assert foresight.fault is Fault.NOT_SEEN
+        assert foresight.fault is DriveFault.NOT_SEEN
         return
     assert foresight.seen_off_m == pytest.approx(abs(off), abs=1e-5)
     assert foresight.moved_m == pytest.approx(
         3.0 * speed, abs=1e-5
     ) and foresight.off_m == pytest.approx(3.0 * abs(speed - predicted), abs=1e-5)
-    if foresight.fault is Fault.PREDICTED_TO_STAND:
+    if foresight.fault is DriveFault.PREDICTED_TO_STAND:
         assert 3.0 * predicted < STAYS_M + 1e-5 and 3.0 * speed > MISSED_M - 1e-5
-    if foresight.fault is Fault.PREDICTED_TO_MOVE:
+    if foresight.fault is DriveFault.PREDICTED_TO_MOVE:
         assert 3.0 * speed < STAYS_M + 1e-5 and 3.0 * predicted > MISSED_M - 1e-5
     is_right = foresight.seen_off_m <= MISSED_M and foresight.off_m <= MISSED_M
-    assert (foresight.fault is Fault.NONE) == is_right
+    assert (foresight.fault is DriveFault.NONE) == is_right
 
 
 def test_the_foresight_of_an_absent_road_user_is_empty() -> None:
     trace = shown(1.0, 0.0)
     assert Foresight.of(trace, "car 3", 1.0) == Foresight.of(trace, "ped 7", 0.5) == Foresight()
-    assert Foresight().fault is DriveDifference().fault is Fault.NONE
+    assert Foresight().fault is DriveDifference().fault is DriveFault.NONE
 
 
 LATE = compared_drives(braked(3.0, 4.0), braked(2.0, 4.0))

@@ -15,7 +15,7 @@ from short_logs import past_parked
 from replan.config import RunConfig
 from replan.core.errors import ConfigError
 from replan.experiments.brackets import Bracket, bisect_brackets, brackets
-from replan.experiments.encounters import conflicting_agent, encounters, lines
+from replan.experiments.ego_encounters import conflicting_agent, encounters, lines
 from replan.experiments.question import question, question_about
 from replan.experiments.recorded_log import opened, prepared
 from replan.experiments.surface import VaryResult, vary

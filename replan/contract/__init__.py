@@ -9,10 +9,10 @@ without memory: deterministic) is examined only there.
 A check runs the code in this process, without the limits in time and memory that a run has.
 """
 
-from replan.contract.findings import ContractError
-from replan.contract.metric import METRIC_RULES, check_metric
-from replan.contract.planner import PLANNER_RULES, check_planner
-from replan.contract.reader import READER_RULES, check_reader
+from replan.contract.breaches import ContractError
+from replan.contract.metric_rules import METRIC_RULES, check_metric
+from replan.contract.planner_rules import PLANNER_RULES, check_planner
+from replan.contract.reader_rules import READER_RULES, check_reader
 
 __all__ = [
     "METRIC_RULES",

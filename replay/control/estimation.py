@@ -52,7 +52,7 @@ from replan.replay.control.lateral_model import (
 )
 from replan.replay.vehicle.drivetrain import SHORTEST_LAG_S
 from replan.replay.vehicle.plan_path import Deviation, path_kappa
-from replan.replay.vehicle.records import new_record
+from replan.replay.vehicle.state_records import new_record
 
 SLIP_GAIN_PER_S = 16.0
 PHI_0_RAD = 0.005

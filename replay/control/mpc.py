@@ -76,7 +76,7 @@ from replan.replay.control.mpc_model import (
 from replan.replay.vehicle.base import Controller, Powertrain
 from replan.replay.vehicle.drivetrain import SHORTEST_LAG_S
 from replan.replay.vehicle.plan_path import Deviation, PlanPath, Tracker
-from replan.replay.vehicle.records import ego_record, new_record
+from replan.replay.vehicle.state_records import ego_record, new_record
 from replan.replay.vehicle.tyres import GRAVITY
 
 RESAMPLED_S = 0.05

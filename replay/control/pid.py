@@ -60,7 +60,7 @@ SINGLE_LOOP_KD = 0.05
 """kd of (6); its other gains are those of the inner loop (3)."""
 
 
-class SpeedMemory:
+class PidMemory:
     """The integral of the speed error, m; m of `pedals` (3), m/s2, and the last error, m/s, both
     NaN at first. A record.
     """
@@ -71,7 +71,7 @@ class SpeedMemory:
 
 
 @inner_kernel
-def forget_speed(speed: SpeedMemory) -> None:
+def forget_speed(speed: PidMemory) -> None:
     """Begin anew."""
     speed.integral = 0.0
     speed.m = speed.error = nan
@@ -80,7 +80,7 @@ def forget_speed(speed: SpeedMemory) -> None:
 @kernel
 def accelerate_dual_loop(
     law: SpeedLaw,
-    speed: SpeedMemory,
+    speed: PidMemory,
     train: PedalMap,
     now: EgoState,
     off: Deviation,
@@ -99,7 +99,7 @@ def accelerate_dual_loop(
 
 @inner_kernel
 def limited(
-    wanted: float, error: float, speed: SpeedMemory, train: PedalMap, v: float, period: float
+    wanted: float, error: float, speed: PidMemory, train: PedalMap, v: float, period: float
 ) -> float:
     """Limit `wanted`, m/s2, to what the vehicle can do at `v`, m/s, and integrate the error over a
     period, s.
@@ -142,7 +142,7 @@ def steer_by_error(
 
 @inner_kernel
 def accelerate_by_error(
-    law: SpeedLaw, speed: SpeedMemory, train: PedalMap, now: EgoState, off: Deviation
+    law: SpeedLaw, speed: PidMemory, train: PedalMap, now: EgoState, off: Deviation
 ) -> float:
     """Acceleration to command, m/s2."""
     error = -off.speed

@@ -39,8 +39,8 @@ from replan.replay.control.pedals import PedalMemory, StopMemory, eased, hold, p
 from replan.replay.control.pid import (
     SINGLE_LOOP_KD,
     LateralMemory,
+    PidMemory,
     SpeedLaw,
-    SpeedMemory,
     SteeringPidLaw,
     accelerate_by_error,
     accelerate_dual_loop,
@@ -50,7 +50,7 @@ from replan.replay.control.pid import (
 from replan.replay.vehicle.base import Powertrain
 from replan.replay.vehicle.pedal_map import PedalMap
 from replan.replay.vehicle.plan_path import Deviation, Tracker, deviation
-from replan.replay.vehicle.records import (
+from replan.replay.vehicle.state_records import (
     STEP,
     Plain,
     Records,
@@ -89,7 +89,7 @@ class SplitMemory:
     standing: bool = False
     pedal: PedalMemory
     stop: StopMemory
-    speed: SpeedMemory
+    speed: PidMemory
     lateral: LateralMemory
     slip: SlipMemory
     delay: DelayMemory
@@ -149,7 +149,7 @@ def control(
 
 @inner_kernel
 def named_law(laws: Plain) -> SplitLaw:
-    """Return the law from plain tuples (`replan.replay.vehicle.records.plain`)."""
+    """Return the law from plain tuples (`replan.replay.vehicle.state_records.plain`)."""
     steers, drives, dlqr, kinematic, pursuit, stanley, pid, speed, train = laws
     slip, delay = dlqr[:2]
     return SplitLaw(

@@ -18,7 +18,7 @@ from replan.replay.loop.simulation_setup import SimulationSetup
 from replan.replay.loop.termination import Ended, Termination
 from replan.replay.loop_config import DEFAULT_LOOP, LoopConfig
 from replan.replay.perception import Perception
-from replan.replay.vehicle.records import Records
+from replan.replay.vehicle.state_records import Records
 
 
 def run_closed_loop(

@@ -13,7 +13,7 @@ from replan.logs.shapes import overlap
 from replan.logs.tracks import Tracks
 from replan.logs.vehicle import VehicleParameters
 from replan.metrics.boxes import Phantom
-from replan.replay.vehicle.records import STEP, Records, write_ego
+from replan.replay.vehicle.state_records import STEP, Records, write_ego
 from replan.replay.world import ROUNDING_M, World
 
 

@@ -2,7 +2,7 @@
 fill the trace.
 
 Planning time is modelled without a clock, so that repeated drives are equal (`Latency`). A step
-reads row k of the trace (`replan.replay.vehicle.records`) and writes row k + 1:
+reads row k of the trace (`replan.replay.vehicle.state_records`) and writes row k + 1:
 
 (1) deviation = the motion of row k against the plan
 (2) command, memory = control(law, memory, motion, deviation, plan)
@@ -37,7 +37,8 @@ from replan.replay.vehicle.base import Controller, Vehicle
 from replan.replay.vehicle.drivetrain import Gearbox, Pending, with_room
 from replan.replay.vehicle.kinematic_bicycle import BicycleState, KinematicBicycle, Kinematics
 from replan.replay.vehicle.plan_path import PlanPath, Tracker
-from replan.replay.vehicle.records import (
+from replan.replay.vehicle.single_track import SingleTrack, SingleTrackState, named_car
+from replan.replay.vehicle.state_records import (
     STEP,
     Plain,
     Records,
@@ -46,7 +47,6 @@ from replan.replay.vehicle.records import (
     write_motion,
     write_state,
 )
-from replan.replay.vehicle.single_track import SingleTrack, SingleTrackState, named_car
 
 
 class Latency:

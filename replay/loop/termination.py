@@ -28,7 +28,7 @@ from replan.metrics.boxes import name_of, phantoms, without_phantoms
 from replan.metrics.collisions import classify
 from replan.metrics.cut_in import LOOK_BACK_S
 from replan.replay.loop.contacts import AgentBoxes, EgoBox, agent_boxes, ego_box, touched
-from replan.replay.vehicle.records import Records, state_at, trajectory_of
+from replan.replay.vehicle.state_records import Records, state_at, trajectory_of
 from replan.replay.world import box_center
 
 CRACK_M = 0.5

@@ -70,7 +70,7 @@ X, Y, YAW, LENGTH, WIDTH = range(5)
 """Columns of boxes."""
 
 
-class Box(NamedTuple):
+class TrafficBox(NamedTuple):
     """A box: its centre, heading and size, m, rad."""
 
     x: float
@@ -85,10 +85,10 @@ Leap = tuple[float, float, float]
 
 
 @inner_kernel
-def box_at(boxes: FloatArray, i: int | np.signedinteger[Any]) -> Box:
+def box_at(boxes: FloatArray, i: int | np.signedinteger[Any]) -> TrafficBox:
     """Row i of boxes `(n, 5)`."""
     box = boxes[i]
-    return Box(box[X], box[Y], box[YAW], box[LENGTH], box[WIDTH])
+    return TrafficBox(box[X], box[Y], box[YAW], box[LENGTH], box[WIDTH])
 
 
 class Paths(NamedTuple):
@@ -242,7 +242,7 @@ def taken(boxes: FloatArray, coming: BoolArray, others: BoolArray) -> BoolArray:
 
 
 @inner_kernel
-def _touch(box: Box, other: Box, narrower: float) -> bool:
+def _touch(box: TrafficBox, other: TrafficBox, narrower: float) -> bool:
     width = max(box.width - narrower, 0.1)
     return overlap(
         box.x,
@@ -353,7 +353,7 @@ def leaders(
 @inner_kernel
 def _first_touched(
     paths: Paths, i: int, phase: float, reach: float, boxes: FloatArray, near: IntArray
-) -> tuple[float, int, Box]:
+) -> tuple[float, int, TrafficBox]:
     """Distance along path i to the first touch, the agent (-1: none within reach), and the box of i
     there.
     """
@@ -399,15 +399,15 @@ def _first_touched(
 
 
 @inner_kernel
-def _box_after(box: Box, leap: Leap, u: float) -> Box:
+def _box_after(box: TrafficBox, leap: Leap, u: float) -> TrafficBox:
     """A box after the part u of a leap."""
     dx, dy, turn = leap
-    return Box(box.x + u * dx, box.y + u * dy, box.yaw + u * turn, box.length, box.width)
+    return TrafficBox(box.x + u * dx, box.y + u * dy, box.yaw + u * turn, box.length, box.width)
 
 
 @inner_kernel
 def _touch_at(
-    begin: Box, leap: Leap, low: float, high: float, other: Box, narrower: float
+    begin: TrafficBox, leap: Leap, low: float, high: float, other: TrafficBox, narrower: float
 ) -> float:
     """The last part of a leap, between `low` (apart) and `high` (touching), at which the boxes are
     still apart.

@@ -54,7 +54,7 @@ from replan.replay.vehicle.pedal_map import (
     rolling_acceleration,
 )
 from replan.replay.vehicle.plan_path import PlanPath, Tracker, path_point
-from replan.replay.vehicle.records import Motion, Plain, plain
+from replan.replay.vehicle.state_records import Motion, Plain, plain
 
 RearRatio = Annotated[
     float, Meta(ge=-1.0, lt=1.0, description="Rear wheel angle per front wheel angle.")

@@ -62,7 +62,7 @@ from replan.replay.vehicle.drivetrain import (
     with_room,
 )
 from replan.replay.vehicle.kinematic_bicycle import MAX_SUBSTEP_S
-from replan.replay.vehicle.records import Motion, Plain, plain
+from replan.replay.vehicle.state_records import Motion, Plain, plain
 from replan.replay.vehicle.tyres import (
     GRAVITY,
     Tyre,
@@ -122,7 +122,7 @@ class SingleTrackCar(NamedTuple):
 
 @inner_kernel
 def named_car(numbers: Plain) -> SingleTrackCar:
-    """The car that plain tuples hold (`replan.replay.vehicle.records.plain`)."""
+    """The car that plain tuples hold (`replan.replay.vehicle.state_records.plain`)."""
     front, rear, drive = numbers[:3]
     return SingleTrackCar(Tyre(*front), Tyre(*rear), DriveTables(*drive), *numbers[3:])
 

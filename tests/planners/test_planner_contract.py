@@ -15,7 +15,13 @@ import pytest
 from handmade import drive, s_curve, scenario, square, straight, track, tracks
 from hypothesis import given, strategies as st
 
-from replan.contract.planner import check_planner, context_of, frame_times_of, future_changes, until
+from replan.contract.planner_rules import (
+    check_planner,
+    context_of,
+    frame_times_of,
+    future_changes,
+    until,
+)
 from replan.core.errors import PlannerError
 from replan.logs.agents import AgentKind
 from replan.logs.catalogue import CATALOGUE

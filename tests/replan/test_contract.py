@@ -60,9 +60,9 @@ def test_a_metric_that_breaks_a_rule_is_found_by_it_alone(rule: str, few: list[S
 
 def test_built_in_metrics_keep_their_contract(few: list[Scenario]) -> None:
     logs = (*few, CATALOGUE["everyday/traffic_light"].scenario())
-    drives = contract.metric.metric_drives([cut(log, 0.0, 4.0) for log in logs])
+    drives = contract.metric_rules.metric_drives([cut(log, 0.0, 4.0) for log in logs])
     for metric in (*METRICS.values(), contract_breakers.GOOD):
-        contract.metric.check_metric_on(metric, drives)
+        contract.metric_rules.check_metric_on(metric, drives)
 
 
 def test_the_example_keeps_the_contract_of_metrics(monkeypatch: pytest.MonkeyPatch) -> None:

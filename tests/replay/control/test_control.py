@@ -10,10 +10,10 @@ from worlds import controlled
 
 from replan.logs.states import EgoState, Trajectory
 from replan.logs.vehicle import VehicleParameters
-from replan.replay.control.pid import SpeedLaw, SpeedMemory, accelerate_dual_loop
+from replan.replay.control.pid import PidMemory, SpeedLaw, accelerate_dual_loop
 from replan.replay.vehicle.pedal_map import PedalPowertrain
 from replan.replay.vehicle.plan_path import PlanPath
-from replan.replay.vehicle.records import ego_record, new_record
+from replan.replay.vehicle.state_records import ego_record, new_record
 
 CAR = VehicleParameters()
 TRAIN = PedalPowertrain(CAR)
@@ -113,7 +113,7 @@ def test_a_loop_is_followed_where_the_plan_is_and_not_where_it_crosses_itself() 
 def test_the_integral_does_not_wind_up() -> None:
     """Ten seconds of an unreachable plan leave no more integral than the first of them."""
     plan = PlanPath.of(drive(np.zeros_like, 40.0, 12.0))
-    law, memory = SpeedLaw(PERIOD), new_record(SpeedMemory)
+    law, memory = SpeedLaw(PERIOD), new_record(PidMemory)
     for k in range(1000):
         state = EgoState(k * PERIOD, 0.0, 0.0, 0.0, 5.0)
         off = plan.deviation(state)

@@ -54,7 +54,7 @@ from replan.replay.control.split import DLQR, SplitController, split_law
 from replan.replay.vehicle.drivetrain import Drivetrain
 from replan.replay.vehicle.kinematic_bicycle import KinematicBicycle
 from replan.replay.vehicle.plan_path import PlanPath
-from replan.replay.vehicle.records import ego_record, new_record
+from replan.replay.vehicle.state_records import ego_record, new_record
 
 CAR = VehicleParameters()
 ROLLING = with_rigid_tyres(CAR)

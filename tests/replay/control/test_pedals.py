@@ -29,7 +29,7 @@ from replan.replay.control.pedals import (
 )
 from replan.replay.vehicle.drivetrain import Drivetrain
 from replan.replay.vehicle.plan_path import PlanPath
-from replan.replay.vehicle.records import new_record
+from replan.replay.vehicle.state_records import new_record
 from replan.run.calibrate import picture
 
 CAR = VehicleParameters()

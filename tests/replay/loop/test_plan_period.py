@@ -22,7 +22,7 @@ from replan.replay.loop.simulation_setup import controller_of
 from replan.replay.loop_config import LoopConfig
 from replan.replay.parts import CONTROLLER, VEHICLE, Part
 from replan.replay.vehicle.plan_path import PlanPath
-from replan.replay.vehicle.records import Records, state_at
+from replan.replay.vehicle.state_records import Records, state_at
 
 PERIOD = 0.01
 STEPS = 900

@@ -14,7 +14,7 @@ from replan.replay.loop.closed_loop import run_closed_loop
 from replan.replay.loop.contacts import contact
 from replan.replay.loop.termination import Ended, Termination
 from replan.replay.loop_config import LoopConfig
-from replan.replay.vehicle.records import STEP, Records, state_at
+from replan.replay.vehicle.state_records import STEP, Records, state_at
 from replan.replay.world import World, box_center
 
 WAY = drive(straight, 10.0, 6.0)

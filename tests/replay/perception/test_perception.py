@@ -10,7 +10,7 @@ import pytest
 from handmade import drive, scenario, straight, track, tracks
 from hypothesis import given, settings, strategies as st
 
-from replan.contract.planner import until
+from replan.contract.planner_rules import until
 from replan.core.arrays import FloatArray
 from replan.core.errors import ConfigError, LogError
 from replan.logs.agents import AgentKind, Agents

@@ -12,7 +12,7 @@ from map_planners import IdmInMap
 from worlds import perceive
 
 from replan import evaluate
-from replan.contract.planner import check_planner, context_of
+from replan.contract.planner_rules import check_planner, context_of
 from replan.core.errors import PlannerError
 from replan.logs.catalogue import scenario as catalogue
 from replan.logs.edit.transform import moved

@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from replan.contract.findings import Findings, call, difference
+from replan.contract.breaches import Findings, call, difference
 from replan.core.errors import ConfigError, LogError, raised
 from replan.core.files import local_path
 from replan.logs.readers import READER, LogSettings, Reader, read_log

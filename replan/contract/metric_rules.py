@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from replan.contract.findings import LOOP, Findings, call, difference, leaves, scenarios_or_default
+from replan.contract.breaches import LOOP, Findings, call, difference, leaves, scenarios_or_default
 from replan.core.errors import PlannerError, raised
 from replan.logs.frame import Frame
 from replan.logs.plan import Plan

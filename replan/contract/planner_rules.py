@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from replan.contract.findings import LOOP, Findings, call, difference, scenarios_or_default
+from replan.contract.breaches import LOOP, Findings, call, difference, scenarios_or_default
 from replan.logs.frame import PLAN_HORIZON_S, Frame, PlannerContext
 from replan.logs.plan import Plan, PlanStart, PlanStatus
 from replan.logs.scenario import Scenario

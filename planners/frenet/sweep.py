@@ -172,7 +172,7 @@ def _takes(
                 lower[k], upper[k] = lower[k - 1], upper[k - 1]
                 continue
             length, width = other_size
-            box = _Box(other[0, k], other[1, k], other[2, k], other[3, k], length, width)
+            box = _SweptBox(other[0, k], other[1, k], other[2, k], other[3, k], length, width)
             met = _first_met(boxes, begin, end, moved, ego_size, box)
             if met >= 0:
                 leaves = _first_met(boxes, end - 1, met - 1, moved, ego_size, box)
@@ -234,7 +234,7 @@ def _envelopes(boxes: FloatArray, every: np.int64, length: float, width: float) 
     return envelopes
 
 
-class _Box(NamedTuple):
+class _SweptBox(NamedTuple):
     """A box: its centre, m, the cosine and the sine of its heading, its length and width, m."""
 
     x: float
@@ -246,9 +246,9 @@ class _Box(NamedTuple):
 
 
 @inner_kernel
-def _box_of(envelopes: FloatArray, e: int) -> _Box:
+def _box_of(envelopes: FloatArray, e: int) -> _SweptBox:
     """One of the `_envelopes`."""
-    return _Box(
+    return _SweptBox(
         envelopes[0, e],
         envelopes[1, e],
         envelopes[2, e],
@@ -259,7 +259,7 @@ def _box_of(envelopes: FloatArray, e: int) -> _Box:
 
 
 @inner_kernel
-def _touch(box: _Box, other: _Box, slack: float) -> bool:
+def _touch(box: _SweptBox, other: _SweptBox, slack: float) -> bool:
     """Whether two boxes touch, the first one wider by `slack`, m, on each side
     (`replan.logs.shapes`, (1)).
     """
@@ -283,7 +283,7 @@ def _first_met(
     end: int,
     moved: float,
     size: tuple[float, float],
-    other: _Box,
+    other: _SweptBox,
 ) -> int:
     """The first point from `begin` to `end`, exclusive, forwards or backwards, at which the ego
     meets a box; -1: none.
@@ -323,7 +323,7 @@ def _edge(
     met: int,
     free: int,
     size: tuple[float, float],
-    other: _Box,
+    other: _SweptBox,
 ) -> float:
     """The station next to point `met`, which overlaps, towards point `free`, at which the ego does
     not overlap.
@@ -338,7 +338,7 @@ def _edge(
         x = boxes[0, met] + u * (boxes[0, free] - boxes[0, met])
         y = boxes[1, met] + u * (boxes[1, free] - boxes[1, met])
         yaw = boxes[4, met] + u * bend
-        if _touch(_Box(x, y, cos(yaw), sin(yaw), length, width), other, 0.0):
+        if _touch(_SweptBox(x, y, cos(yaw), sin(yaw), length, width), other, 0.0):
             low = u
         else:
             high = u

@@ -203,7 +203,7 @@ def _on_road(
     return off, beside, against, driven
 
 
-class _Agent(NamedTuple):
+class _ScoredAgent(NamedTuple):
     """An agent at the start: pose, velocity, length and width."""
 
     x: float
@@ -231,7 +231,7 @@ def _meetings(
     for n in range(count):
         for i in range(moving.shape[1]):
             x, y, yaw, vx, vy, length, width = moving[:, i]
-            agent = _Agent(x, y, yaw, vx, vy, length, width)
+            agent = _ScoredAgent(x, y, yaw, vx, vy, length, width)
             if _meets(states[n], 0, 0, agent, ego):
                 continue
             k = _contact_at_fault(states[n], agent, objects[i], astray[n], ego)
@@ -245,7 +245,7 @@ def _meetings(
 
 
 @inner_kernel
-def _meets(states: FloatArray, k: int, ahead: int, other: _Agent, ego: EgoSize) -> int:
+def _meets(states: FloatArray, k: int, ahead: int, other: _ScoredAgent, ego: EgoSize) -> int:
     """Whether the ego, extrapolated from step k by `ahead` steps, touches an agent: 1; -1 if it is
     behind; else 0.
     """
@@ -276,7 +276,7 @@ def _meets(states: FloatArray, k: int, ahead: int, other: _Agent, ego: EgoSize) 
 
 @inner_kernel
 def _contact_at_fault(
-    states: FloatArray, other: _Agent, is_object: bool, astray: BoolArray, ego: EgoSize
+    states: FloatArray, other: _ScoredAgent, is_object: bool, astray: BoolArray, ego: EgoSize
 ) -> int:
     """The step of the first contact with an agent if it is the ego's fault; else -1."""
     for k in range(1, states.shape[1]):
@@ -296,7 +296,7 @@ def _contact_at_fault(
 
 
 @inner_kernel
-def _comes_close(states: FloatArray, other: _Agent, ego: EgoSize) -> bool:
+def _comes_close(states: FloatArray, other: _ScoredAgent, ego: EgoSize) -> bool:
     """Whether the first contact that `ttc` finds is with an agent that is not behind."""
     for k in range(states.shape[1]):
         for ahead in CARRIED:

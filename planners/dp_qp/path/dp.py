@@ -147,7 +147,7 @@ def solve_path_dp(
     return SlGrid(stations, rows, start, cost, chosen, sides)
 
 
-class _Node(NamedTuple):
+class _PathNode(NamedTuple):
     """A point of a path: station, offset, m, and the offset's derivatives by the station."""
 
     s: float
@@ -156,7 +156,7 @@ class _Node(NamedTuple):
     ddl: float
 
 
-class _Corridor(NamedTuple):
+class _EdgeSurroundings(NamedTuple):
     """What an edge costs: obstacles `(b, 5)` and bounds `(columns, SAMPLES)` as in `path_dp`,
     weights.
     """
@@ -168,7 +168,9 @@ class _Corridor(NamedTuple):
 
 
 @inner_kernel
-def _edge(begin: _Node, s: float, l: float, corridor: _Corridor, column: int, best: float) -> float:
+def _edge(
+    begin: _PathNode, s: float, l: float, corridor: _EdgeSurroundings, column: int, best: float
+) -> float:
     """Cost (2) of the edge from a node into a column, at (s, l); it stops once this exceeds
     `best`.
     """
@@ -232,16 +234,16 @@ def path_dp(
         Cost to come `(n, k)`, and the chosen row per column `(n,)`.
     """
     n, k = len(stations), len(offsets)
-    corridor = _Corridor(boxes, lower, upper, weights)
+    corridor = _EdgeSurroundings(boxes, lower, upper, weights)
     s0, l0, dl0, ddl0 = start
-    begin = _Node(s0, l0, dl0, ddl0)
+    begin = _PathNode(s0, l0, dl0, ddl0)
     cost = np.full((n, k), np.inf)
     parent = np.zeros((n, k), np.int64)
     for row in range(k):
         cost[0, row] = _edge(begin, stations[0], offsets[row], corridor, 0, np.inf)
     for i in range(1, n):
         for row in range(k):
-            node = _Node(stations[i - 1], offsets[row], 0.0, 0.0)
+            node = _PathNode(stations[i - 1], offsets[row], 0.0, 0.0)
             straight = cost[i - 1, row] + _edge(
                 node, stations[i], offsets[row], corridor, i, np.inf
             )
@@ -249,7 +251,7 @@ def path_dp(
                 most = min(cost[i, row], straight + BESIDES)
                 if cost[i - 1, before] >= most:
                     continue
-                node = _Node(stations[i - 1], offsets[before], 0.0, 0.0)
+                node = _PathNode(stations[i - 1], offsets[before], 0.0, 0.0)
                 total = cost[i - 1, before] + _edge(
                     node, stations[i], offsets[row], corridor, i, most - cost[i - 1, before]
                 )
@@ -276,11 +278,11 @@ def path_dp_to_go(
     Arguments as in `path_dp`.
     """
     n, k = len(stations), len(offsets)
-    corridor = _Corridor(boxes, lower, upper, weights)
+    corridor = _EdgeSurroundings(boxes, lower, upper, weights)
     cost = np.zeros((n, k))
     for i in range(n - 1, 0, -1):
         for row in range(k):
-            node = _Node(stations[i - 1], offsets[row], 0.0, 0.0)
+            node = _PathNode(stations[i - 1], offsets[row], 0.0, 0.0)
             best = np.inf
             # Straight on first: it is near the best, so that the other edges stop early
             for turn in range(k):

@@ -135,7 +135,7 @@ def pass_targets(
     left out; unless it is passing them already, it must be past them `SPARE_S` earlier.
     """
     all_agents, futures, car = scene.frame.agents, scene.futures, scene.vehicle
-    line = _Samples(scene.reference.line.s, scene.reference.line.coef, scene.reference.line.yaw)
+    line = _LaneLine(scene.reference.line.s, scene.reference.line.coef, scene.reference.line.yaw)
     t = np.arange(futures.t[0], futures.t[-1] + 1e-9, STEP_S)
     targets = []
     for i in agents:
@@ -153,7 +153,7 @@ def pass_targets(
     return tuple(sorted(targets, key=lambda target: (target.box.s_from, target.box.agent)))
 
 
-class _Samples(NamedTuple):
+class _LaneLine(NamedTuple):
     """A reference line for kernels: stations `(n,)`, m, coefficients, and headings `(n,)`, rad."""
 
     s: FloatArray
@@ -192,7 +192,7 @@ class _Footprint(NamedTuple):
 
 @inner_kernel
 def _footprint(
-    line: _Samples,
+    line: _LaneLine,
     futures: Futures,
     row: int,
     t: float,
@@ -211,7 +211,7 @@ def _footprint(
 
 @kernel
 def _boxes_along(
-    line: _Samples, futures: Futures, agent: int, size: tuple[float, float], ego: Passer
+    line: _LaneLine, futures: Futures, agent: int, size: tuple[float, float], ego: Passer
 ) -> tuple[tuple[float, float, float, float], tuple[float, float], FloatArray]:
     """(1) and (2) of an agent and its length and width, m.
 

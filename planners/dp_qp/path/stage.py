@@ -120,7 +120,7 @@ class _Task:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class _Solution:
+class _PathSolution:
     """The solution of the path QP: `offsets` l, l', l'' `(3, knots)`, None if it failed, of the
     solver's `x`.
 
@@ -248,7 +248,7 @@ class PathStage:
 
     def _solve_within_bounds(
         self, task: _Task, obstacles: tuple[Occupancy, ...], decisions: tuple[Decision, ...]
-    ) -> _Solution:
+    ) -> _PathSolution:
         """The path in the bounds, else as little outside as possible.
 
         Then without the agents that it cannot clear.
@@ -264,7 +264,7 @@ class PathStage:
                 result, problem, soft_reports = self._softly(task, narrow, problem)
                 reports = (*reports, *soft_reports)
             if not result.report.solved:
-                return _Solution(None, result.x, decisions, narrow, problem, reports, {})
+                return _PathSolution(None, result.x, decisions, narrow, problem, reports, {})
             offsets = result.x.reshape(3, -1)
             final, rooms = decisions, dict[str, float]()
             if obstacles:
@@ -273,7 +273,7 @@ class PathStage:
                     PathBounds(narrow.s, swung, swung), obstacles, decisions, car, config
                 )
             if in_bounds or final == decisions:
-                return _Solution(offsets, result.x, final, narrow, problem, reports, rooms)
+                return _PathSolution(offsets, result.x, final, narrow, problem, reports, rooms)
             decisions = final
 
     def _softly(
@@ -398,7 +398,7 @@ class PathStage:
         return grid, tuple(decisions)
 
     def _graph(
-        self, road: RoadAhead, in_the_way: InTheWay, grid: SlGrid | None, solution: _Solution
+        self, road: RoadAhead, in_the_way: InTheWay, grid: SlGrid | None, solution: _PathSolution
     ) -> SlGraph:
         """The S-L graph, with the DP where it ran.
 

@@ -126,7 +126,7 @@ class ChosenSpeed:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class _OnPath:
+class _SpeedInput:
     """The input of a plan: the scene on its path, the limits there and decisions of the caps, the
     stops, the memory.
 
@@ -215,7 +215,7 @@ class SpeedStage:
         stops = (
             np.array([(stop.s_from, stop.until) for stop in task.stops]) if task.stops else NO_STOPS
         )
-        on_path = _OnPath(view, limits, limit.decisions, stops, taken, memory)
+        on_path = _SpeedInput(view, limits, limit.decisions, stops, taken, memory)
         planned, unlikely = self._plan_with_doubt(on_path, boundaries)
         solved = planned.solved
         chosen = ChosenSpeed(
@@ -233,7 +233,7 @@ class SpeedStage:
         return chosen, SpeedMemory(solved.is_full, reached_at, waits)
 
     def _plan_with_doubt(
-        self, on_path: _OnPath, boundaries: StBoundaries
+        self, on_path: _SpeedInput, boundaries: StBoundaries
     ) -> tuple[_Planned, StBoundaries]:
         """The speed that keeps the rows as far as they bind (`doubt`), and the rows that do not
         bind.
@@ -281,7 +281,7 @@ class SpeedStage:
         return planned, replace(boundaries, probability=p).only(~binds)
 
     def _plan_within(
-        self, on_path: _OnPath, blocks: StBoundaries, sure: IntArray | None = None
+        self, on_path: _SpeedInput, blocks: StBoundaries, sure: IntArray | None = None
     ) -> _Planned:
         """The speed that keeps these boundaries; those of the agents `sure` (None: all) with other
         margins, too.
@@ -303,7 +303,9 @@ class SpeedStage:
                 planned = self._yield_to_late(on_path, free, np.zeros(n))
         return planned
 
-    def _yield_to_late(self, on_path: _OnPath, planned: _Planned, spare: FloatArray) -> _Planned:
+    def _yield_to_late(
+        self, on_path: _SpeedInput, planned: _Planned, spare: FloatArray
+    ) -> _Planned:
         """The speed that yields to each agent that it overtakes but would not stay clear of `spare`
         s `(n,)` later.
 
@@ -329,7 +331,7 @@ class SpeedStage:
 
     def _plan(
         self,
-        on_path: _OnPath,
+        on_path: _SpeedInput,
         blocks: StBoundaries,
         sure: IntArray,
         may_overtake: BoolArray,
@@ -347,7 +349,7 @@ class SpeedStage:
 
     def _build(
         self,
-        on_path: _OnPath,
+        on_path: _SpeedInput,
         blocks: StBoundaries,
         may_overtake: BoolArray,
         *,
@@ -365,7 +367,7 @@ class SpeedStage:
         )
 
     def _artefacts(
-        self, on_path: _OnPath, planned: _Planned, unlikely: StBoundaries
+        self, on_path: _SpeedInput, planned: _Planned, unlikely: StBoundaries
     ) -> tuple[Artefact, ...]:
         """Graph (with the DP where it ran), decisions, costs and reports."""
         scene, path, stops = on_path.view.scene, on_path.view.path, on_path.view.task.stops
@@ -421,7 +423,7 @@ class SpeedStage:
 
     def _orders(
         self,
-        on_path: _OnPath,
+        on_path: _SpeedInput,
         planned: _Planned,
         i: int,
         kind: DecisionKind,

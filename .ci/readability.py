@@ -83,13 +83,13 @@ RULES = {
 
 
 LIMITS = {
-    "conditional in a conditional": 47,
-    "comprehension with more than two clauses": 42,
-    "lambda with logic": 79,
-    "more than three values assigned at once": 186,
-    "column by its number": 341,
-    "sentinel": 20,
-    "vague local name": 2168,
+    "conditional in a conditional": 5,
+    "comprehension with more than two clauses": 9,
+    "lambda with logic": 13,
+    "more than three values assigned at once": 4,
+    "column by its number": 14,
+    "sentinel": 3,
+    "vague local name": 212,
 }
 
 

@@ -222,8 +222,7 @@ def passed_width(road: Road, tracks: Tracks, notes: list[str]) -> Road:
     width = float(np.clip(np.median(beside), *WIDTHS_M))
     notes.append(
         f"{NO_LANES}: the one lane's width is assumed: {width:.2f} m, as {len(beside)} road users "
-        "drive beside it "
-        f"at {np.median(beside):.2f} m (median)."
+        f"drive beside it at {np.median(beside):.2f} m (median)."
     )
     lane = replace(lane, left=middle + 0.5 * width * across, right=middle - 0.5 * width * across)
     return replace(road, lanes={lane.id: lane})

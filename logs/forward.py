@@ -161,8 +161,7 @@ def tighter_than_vehicle(scenario: Scenario) -> str:
         return ""
     return (
         f"the log has no lanes, and its driver turns within {1.0 / np.median(tight):.1f} m: no "
-        "planner can follow"
-        f" with the vehicle, which needs {1.0 / lock:.1f} m (--car names another)"
+        f"planner can follow with the vehicle, which needs {1.0 / lock:.1f} m (--car names another)"
     )
 
 

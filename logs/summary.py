@@ -175,15 +175,13 @@ def _describe_facts(found: dict[str, Any]) -> list[str]:
         "origin: {:.12g}, {:.12g} m, subtracted from all positions".format(*found["origin"]),
         f"ego: {ego}",
         f"agents: {agents or 'none'}; obstacles: {found['obstacles']}; recorded "
-        f"{described(found['traffic'])} of"
-        f" {found['duration']:.1f} s",
+        f"{described(found['traffic'])} of {found['duration']:.1f} s",
         f"road: {counted(road['lanes'], 'lane')} ({road['drivable']} drivable), "
         f"{road['length_km']:.2f} km,"
         f" {road['without_speed_limit']} without speed limit; {road['source']}",
         f"rules: {counted(road['stop_lines'], 'stop line')} ({signs}), "
-        f"{counted(found['lights'], 'light')},"
-        f" {counted(road['crosswalks'], 'crosswalk')},"
-        f" {counted(road['giving_way'], 'lane')} giving way",
+        f"{counted(found['lights'], 'light')}, {counted(road['crosswalks'], 'crosswalk')}, "
+        f"{counted(road['giving_way'], 'lane')} giving way",
         f"goal: {found['goal'] or 'none'}",
         *(f"metadata {key}: {value}" for key, value in found["metadata"].items()),
         *(f"note: {note}" for note in found["notes"]),

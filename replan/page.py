@@ -23,9 +23,8 @@ SECTIONS = {
     ): "evaluate compare load Results DriveResult Comparison RunConfig LoopConfig",
     "Logs": "read_log from_frames write_log Scenario Trace LogSettings",
     ("What a planner sees and answers"): (
-        "Planner PlannerContext Frame Plan Trajectory EgoState Agents AgentKind Tracks "
-        "Predictions Visibility Road RoadSource Lane Goal ReferenceLine StopLine Crosswalk "
-        "TrafficLight Colour "
+        "Planner PlannerContext Frame Plan Trajectory EgoState Agents AgentKind Tracks Predictions "
+        "Visibility Road RoadSource Lane Goal ReferenceLine StopLine Crosswalk TrafficLight Colour "
         "VehicleParameters PlanStart PlanStatus Decision DecisionKind"
     ),
     (
@@ -34,8 +33,7 @@ SECTIONS = {
     "LaneOption SolverReport",
     ("What a metric is"): (
         "metric Metric Series Reduction MEAN MIN MAX RMS FINAL COUNT RATE SHARE Unavailable Mode "
-        "PlannedFrame "
-        "EndReason"
+        "PlannedFrame EndReason"
     ),
     (
         "What else can be added (docs/extend.md)"

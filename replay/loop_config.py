@@ -153,8 +153,7 @@ class LoopConfig(Config):
         if self.prediction == "oracle" and self.traffic != "time":
             raise ConfigError(
                 "loop.prediction 'oracle' uses the log's future, which road users do not follow "
-                "with loop.traffic"
-                f" '{self.traffic}'; take traffic 'time' (--traffic time)"
+                f"with loop.traffic '{self.traffic}'; take traffic 'time' (--traffic time)"
             )
         if round(self.plan_delay_s * 1e9) % self.control_period_ns:
             raise ConfigError(

@@ -314,8 +314,7 @@ class Part:
         if lacking:
             raise ConfigError(
                 f"{self.kind.name} '{self.name}': it built a {type(made).__name__} without "
-                f"{lacking[0]}"
-                f" ({protocol.__module__}.{protocol.__name__})"
+                f"{lacking[0]} ({protocol.__module__}.{protocol.__name__})"
             )
         return made
 

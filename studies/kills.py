@@ -29,19 +29,16 @@ from pathlib import Path
 
 MARK = "REPLAN_KILLS"
 PRELUDE = (
-    "from replan.interruption import end_at_once; end_at_once();"
-    "import replan.paper.reproduce as r; from functools import partial; from replan.cli import "
-    "main;"
+    "from replan.interruption import end_at_once; end_at_once();import replan.paper.reproduce as "
+    "r; from functools import partial; from replan.cli import main;"
     # The paper with two pedestrians
     "r.PaperConfig = partial(r.PaperConfig, cells=r.CELLS[:2]); main()"
 )
 SOLVED = (
     "from replan.logs.catalogue import scenario as s; from replan.logs.mcap import write_scenario; "
-    "from dataclasses import replace;"
-    "from replan.logs.vehicle import vehicle_parameters as v; facts = {'benchmark': "
-    "'ZAM_Made-1_1_T-1', 'time_step_s': '0.1',"
-    "'planning_problem': '100', 'ego_pose': 'box centre'};"
-    "write_scenario('cr.mcap', replace(s('everyday/cut_in'), "
+    "from dataclasses import replace;from replan.logs.vehicle import vehicle_parameters as v; "
+    "facts = {'benchmark': 'ZAM_Made-1_1_T-1', 'time_step_s': '0.1','planning_problem': '100', "
+    "'ego_pose': 'box centre'};write_scenario('cr.mcap', replace(s('everyday/cut_in'), "
     "metadata=facts).in_vehicle(v('bmw_320i')))"
 )
 DRIVE = "-p constant_speed --no-recording"

@@ -324,8 +324,7 @@ def print_near_misses(drives: Iterator[tuple[str, str, Scenario]], labelled: set
     sys.stdout.writelines(f"missed: {', '.join(pair)}\n" for pair in sorted(labelled - found))
     sys.stdout.write(
         f"{number} drives, {events} events of {len(found)} pairs, {len(found & labelled)} of them "
-        "right;"
-        f" {len(labelled)} labels\n"
+        f"right; {len(labelled)} labels\n"
     )
 
 

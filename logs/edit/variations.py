@@ -482,8 +482,7 @@ _TABLE = (
         500.0,
         nan,
         "an adult crosses the ego's path from the right at this distance from its start, and is in "
-        "its middle when "
-        "the front of an ego at constant speed arrives",
+        "its middle when the front of an ego at constant speed arrives",
         pedestrian,
         of=WALKER,
     ),

@@ -187,10 +187,9 @@ def _check_fit(found: MapFile, path: Path, lanes: list[Lane], ego: Trajectory) -
         away = np.asarray(tree.query(np.column_stack([x, y]))[0])
         raise LogError(
             f"the map {path} does not fit the drive: {100.0 * on.mean():.0f} % of the driven path "
-            "lies on its drivable"
-            f" lanes, at least {100.0 * LEAST_SHARE:.0f} % must; the nearest lane is "
-            f"{away.min():.0f} m away at the"
-            f" nearest, {away.max():.0f} m at the farthest (coordinates: {found.frame})",
+            f"lies on its drivable lanes, at least {100.0 * LEAST_SHARE:.0f} % must; the nearest "
+            f"lane is {away.min():.0f} m away at the nearest, {away.max():.0f} m at the farthest "
+            f"(coordinates: {found.frame})",
             remedy=(
                 "give the map of that place, or name the origin of its coordinates as [log] "
                 "map_origin"
@@ -200,9 +199,8 @@ def _check_fit(found: MapFile, path: Path, lanes: list[Lane], ego: Trajectory) -
     if share < LEAST_SHARE:
         raise LogError(
             f"the map {path} does not fit the drive: of the driven path on its lanes "
-            f"{100.0 * share:.0f} % goes along"
-            f" them, at least {100.0 * LEAST_SHARE:.0f} % must: most of it is against or across "
-            "their direction",
+            f"{100.0 * share:.0f} % goes along them, at least {100.0 * LEAST_SHARE:.0f} % must: "
+            "most of it is against or across their direction",
             remedy="correct the directions of its lanes, or the log's headings",
         )
     return on

@@ -437,8 +437,7 @@ def _classic(
     if assumed:
         notes.append(
             f"{assumed} of {len(lanes)} lanes have a centre line only: their edges are assumed "
-            "half-way to the lane"
-            f" beside them, else {HALF_WIDTH} m from the centre."
+            f"half-way to the lane beside them, else {HALF_WIDTH} m from the centre."
         )
     paired_with: dict[int, list[int]] = {}  # by any pairing, in both directions
     for key, message in osi.lane.items():

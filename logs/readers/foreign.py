@@ -157,8 +157,7 @@ def foreign(path: Path) -> LogError:
         )
         remedy = (
             "the table of an ego is ego.csv in a folder of its own; a table of tracks has t, id, "
-            "x, y, or names them in"
-            " [log.columns]"
+            "x, y, or names them in [log.columns]"
         )
         return LogError(problem, file=path, remedy=remedy)
     problem = (

@@ -350,8 +350,7 @@ def driven(
     v[0] = v[1] if len(v) > 1 else 0.0
     notes.append(
         "The ego's speed, acceleration and curvature are derived: parabolas fitted to the poses "
-        f"of the {WINDOW_S} s"
-        " before each state."
+        f"of the {WINDOW_S} s before each state."
     )
     columns = {
         "t": t,

@@ -267,8 +267,7 @@ def _tracks(
     if turns is None:
         notes.append(
             "The log has no headings of the agents: they are those of the way come, the first of "
-            "the way that they"
-            " then go."
+            "the way that they then go."
         )
         turns = np.empty(len(x))
         turns[order] = track_table.headings(offsets, x, y, MOVED_M)

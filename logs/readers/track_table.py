@@ -277,8 +277,7 @@ def _ego_states(
     v = state["vx"] * np.cos(yaw) + state["vy"] * np.sin(yaw)
     notes.append(
         f"The ego's {'' if np.isfinite(v).all() else 'speed, '}acceleration and curvature are "
-        "derived: parabolas fitted"
-        " to its positions before each state."
+        "derived: parabolas fitted to its positions before each state."
     )
     v = np.where(np.isfinite(v), v, fit.v)
     return pd.DataFrame(

@@ -23,9 +23,8 @@ if TYPE_CHECKING:
 
 EXIT_CODES = (
     "Exit codes: 0 all gates pass; 1 a gate failed; 2 wrong usage or configuration; 3 a log or "
-    "planner could not be"
-    " evaluated (the others were); 4 inconclusive: a gate had nothing to judge; 70 a bug in "
-    "replan; 130 interrupted."
+    "planner could not be evaluated (the others were); 4 inconclusive: a gate had nothing to "
+    "judge; 70 a bug in replan; 130 interrupted."
 )
 
 
@@ -199,8 +198,7 @@ def report(
 
 COMPARE_CODES = (
     "Exit codes: 0 no rule of comparison is broken; 1 one is; 2 wrong usage; 3 a run cannot be "
-    "read; 4 inconclusive:"
-    " nothing to compare, or a rule had nothing to judge."
+    "read; 4 inconclusive: nothing to compare, or a rule had nothing to judge."
 )
 
 

@@ -17,8 +17,7 @@ from replan.core.errors import ConfigError
 SHOWN = 20  # Largest number of trials of a Pareto front that are printed; pareto.csv has all
 FALSIFY_CODES = (
     "Exit codes: 0 no such case found; 1 one is found: falsified; 2 wrong usage or configuration; "
-    "3 the recorded case"
-    " could not be driven; 130 interrupted."
+    "3 the recorded case could not be driven; 130 interrupted."
 )
 
 
@@ -133,8 +132,7 @@ def falsify(
 
 TUNE_CODES = (
     "Exit codes: 0 the chosen settings are better on the held-out logs; 1 they are not; 2 wrong "
-    "usage or configuration;"
-    " 3 a log or the planner cannot be read; 130 interrupted."
+    "usage or configuration; 3 a log or the planner cannot be read; 130 interrupted."
 )
 
 
@@ -234,8 +232,7 @@ def tune(
 
 DIAGNOSE_CODES = (
     "Exit codes: 0 the diagnosis is done; 2 wrong usage; 3 a drive cannot be driven again, the "
-    "others are diagnosed;"
-    " 130 interrupted: --resume goes on."
+    "others are diagnosed; 130 interrupted: --resume goes on."
 )
 
 

@@ -244,9 +244,8 @@ ABOUT: Mapping[str, str] = {
         "no bound."
     ),
     "faults": (
-        "Logs with faults of perception (scene 0 the crossing pedestrian, 1 a lead, 2 a "
-        "cut-in), of the ego's "
-        "start, and of lanes."
+        "Logs with faults of perception (scene 0 the crossing pedestrian, 1 a lead, 2 a cut-in), "
+        "of the ego's start, and of lanes."
     ),
 }
 """One or two sentences on each group."""

@@ -94,9 +94,8 @@ def warn_not_kept() -> None:
     if multiprocessing.parent_process() is None:
         sys.stderr.write(
             "note: compiled kernels cannot be kept (no folder for them can be written, or the disk "
-            "is full): each"
-            " process compiles them anew, which takes about a minute; set NUMBA_CACHE_DIR to a "
-            "folder with room\n"
+            "is full): each process compiles them anew, which takes about a minute; set "
+            "NUMBA_CACHE_DIR to a folder with room\n"
         )
 
 

@@ -178,10 +178,9 @@ class Explanation:
         solvers = [
             (
                 "" if r.solved else f"{r.stage}: not solved",
-                f"{f'{r.stage}: ' if r.solved else ', '}{r.status},"
-                f" {counted(r.iterations, 'iteration')}, residuals {_residual(r.primal_residual)} "
-                "(primal),"
-                f" {_residual(r.dual_residual)} (dual)",
+                f"{f'{r.stage}: ' if r.solved else ', '}{r.status}, "
+                f"{counted(r.iterations, 'iteration')}, residuals {_residual(r.primal_residual)} "
+                f"(primal), {_residual(r.dual_residual)} (dual)",
             )
             for r in self.solvers
         ]

@@ -59,11 +59,8 @@ def sentences(account: Account) -> list[str]:
             if account.predicted:
                 nothing = (
                     f"{_describe_held_plan(account, cause)} it would meet no road user ahead of it "
-                    "within"
-                    f" {cause.time_s:.0f} s, and"
-                    " no limit, curve, stop line, goal or end of the road within "
-                    f"{cause.distance_m:.0f} m requires"
-                    f" braking.{near}"
+                    f"within {cause.time_s:.0f} s, and no limit, curve, stop line, goal or end of "
+                    f"the road within {cause.distance_m:.0f} m requires braking.{near}"
                 )
             lines.append(f"{opening}; no cause found: {nothing}")
             opening = "Also"

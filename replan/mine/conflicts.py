@@ -307,11 +307,9 @@ CONFLICTS = (
         "near_miss_ttc",
         _near_miss_ttc,
         f"For {COURSE_S} s the time to collision is below {TTC_S} s, at constant velocity and as "
-        "the two turn, and to"
-        f" avoid the contact needs {HARD_MPS2:g} m/s2 of braking or more; until {NEAR_S:g} s later "
-        "the two come within"
-        f" {NEAR_M:g} m, or one of them, but for a vehicle beside the band, brakes with "
-        f"{HARD_MPS2:g} m/s2 or more.",
+        f"the two turn, and to avoid the contact needs {HARD_MPS2:g} m/s2 of braking or more; "
+        f"until {NEAR_S:g} s later the two come within {NEAR_M:g} m, or one of them, but for a "
+        f"vehicle beside the band, brakes with {HARD_MPS2:g} m/s2 or more.",
         "least TTC",
         "s",
         "TTC and required deceleration: criticality metrics catalogue, Westhofen et al. 2023",
@@ -330,10 +328,9 @@ CONFLICTS = (
         "ego_yields",
         _ego_yields,
         f"The ego slows down by {SLOWED_MPS:g} m/s and {SLOWED:.0%} or more before another road "
-        "user takes a place on"
-        f" its way, and comes there up to {WINDOW_S:g} s later; at the speed before it would have "
-        "come before the other"
-        f" or less than {CLOSE_S:g} s after. From when it begins to slow down until it is there.",
+        f"user takes a place on its way, and comes there up to {WINDOW_S:g} s later; at the speed "
+        f"before it would have come before the other or less than {CLOSE_S:g} s after. From when "
+        "it begins to slow down until it is there.",
         "PET",
         "s",
         "",

@@ -345,8 +345,7 @@ EGO_AND_ROAD = (
         "lane_change",
         _lane_change,
         f"The ego's box centre comes from a lane to its neighbour and stays there for {STAYS_S:g} "
-        "s. From"
-        f" {CHANGE_S:g} s before to {CHANGE_S:g} s after; `what` is the side.",
+        f"s. From {CHANGE_S:g} s before to {CHANGE_S:g} s after; `what` is the side.",
         "speed",
         "m/s",
         "nuPlan's scenario tags (changing_lane)",
@@ -355,10 +354,8 @@ EGO_AND_ROAD = (
         "unprotected_turn",
         _unprotected_turn,
         f"The ego turns by 45 degrees or more, tighter than {1.0 / TURN_KAPPA:g} m, where lanes "
-        "cross, and no stop line"
-        f" with a light lies on its way from {LIGHT_BEFORE_M:g} m before the turn. While its box "
-        "is in the turn; `what`"
-        " is the side.",
+        f"cross, and no stop line with a light lies on its way from {LIGHT_BEFORE_M:g} m before "
+        "the turn. While its box is in the turn; `what` is the side.",
         "angle, positive to the left",
         "rad",
         "nuPlan's scenario tags (starting_unprotected_cross_turn, "
@@ -368,8 +365,7 @@ EGO_AND_ROAD = (
         "merge",
         _merge,
         "The ego comes to a lane into which another lane leads from about the same direction, and "
-        "a vehicle is on that"
-        f" other lane within {MERGE_S:g} s and {MERGE_M:g} m.",
+        f"a vehicle is on that other lane within {MERGE_S:g} s and {MERGE_M:g} m.",
         "least distance of the centres",
         "m",
         "",
@@ -386,8 +382,7 @@ EGO_AND_ROAD = (
         "red_light",
         _red_light,
         f"A stop line with a red light lies up to {LIGHT_BEFORE_M:g} m ahead on the ego's path, "
-        "for 0.5 s; `what` is"
-        " the line.",
+        "for 0.5 s; `what` is the line.",
         "least speed",
         "m/s",
         "nuPlan's scenario tags (on_stopline_traffic_light)",

@@ -284,9 +284,8 @@ ROAD_USERS = (
         "cut_in",
         _cut_in,
         "A vehicle or cyclist that moves along the ego's path comes sideways into the ego's band "
-        f"ahead of it, {_NEAR},"
-        f" after {AROUND_S:g} s outside, and stays for {AROUND_S:g} s. From then, for {AROUND_S:g} "
-        "s.",
+        f"ahead of it, {_NEAR}, after {AROUND_S:g} s outside, and stays for {AROUND_S:g} s. From "
+        f"then, for {AROUND_S:g} s.",
         "gap when it comes in",
         "m",
         "UN R157 (cutting-in vehicle); Waymo's scenario tags (cut-ins)",
@@ -295,8 +294,7 @@ ROAD_USERS = (
         "cut_out",
         _cut_out,
         f"The lead, {_NEAR} ahead, leaves the band sideways after {AROUND_S:g} s in it, and stays "
-        "out for"
-        f" {AROUND_S:g} s. From {AROUND_S:g} s before it is out.",
+        f"out for {AROUND_S:g} s. From {AROUND_S:g} s before it is out.",
         "gap when it is out",
         "m",
         "UN R157 (cut-out)",
@@ -335,8 +333,7 @@ ROAD_USERS = (
         "oncoming",
         _oncoming,
         "A vehicle or cyclist comes towards the ego in its band, heading within 20 degrees of the "
-        "opposite direction,"
-        f" less than {ONCOMING_AHEAD_M:g} m ahead, for {ONCOMING_S:g} s.",
+        f"opposite direction, less than {ONCOMING_AHEAD_M:g} m ahead, for {ONCOMING_S:g} s.",
         "least gap",
         "m",
         "",
@@ -345,8 +342,7 @@ ROAD_USERS = (
         "cyclist_along",
         _cyclist_along,
         f"A cyclist rides in the ego's direction, beside it or up to {CYCLIST_AHEAD_M:g} m ahead, "
-        "less than"
-        f" {CYCLIST_BESIDE_M:g} m beside the band, for {CYCLIST_S:g} s.",
+        f"less than {CYCLIST_BESIDE_M:g} m beside the band, for {CYCLIST_S:g} s.",
         "least room to the side",
         "m",
         "nuPlan's scenario tags (behind_bike); Waymo's (cyclists)",
@@ -355,8 +351,7 @@ ROAD_USERS = (
         "close_pass",
         _close_pass,
         f"The ego passes, faster than {PASS_MPS:g} m/s, with less than {PASS_M} m of room to the "
-        "side, or less than"
-        f" {PASS_VULNERABLE_M} m to a pedestrian or rider.",
+        f"side, or less than {PASS_VULNERABLE_M} m to a pedestrian or rider.",
         "least room",
         "m",
         "StVO 5 (4): 1.5 m in towns beside pedestrians and cyclists; 0.5 m is ours",
@@ -365,9 +360,8 @@ ROAD_USERS = (
         "pedestrian_crossing",
         _crossing,
         "A pedestrian walks into the band ahead of the ego, which comes there within "
-        f"{CROSSING_S:g} s, or waits"
-        f" (below {WAITS_MPS:g} m/s) less than {CROSSING_AHEAD_M:g} m before it. While they are in "
-        "the band.",
+        f"{CROSSING_S:g} s, or waits (below {WAITS_MPS:g} m/s) less than {CROSSING_AHEAD_M:g} m "
+        "before it. While they are in the band.",
         "least gap",
         "m",
         "nuPlan's scenario tags (near_pedestrian_on_crosswalk, waiting_for_pedestrian_to_cross)",
@@ -384,8 +378,7 @@ ROAD_USERS = (
         "jaywalking",
         partial(_crossing, off_crosswalks=True),
         f"A pedestrian crossing with the pedestrian more than {BESIDE_CROSSWALK_M:g} m from any "
-        "crosswalk for most of"
-        " it; asked where the map has crosswalks.",
+        "crosswalk for most of it; asked where the map has crosswalks.",
         "least gap",
         "m",
         "RefAV (Argoverse 2 scenario mining: jaywalking)",

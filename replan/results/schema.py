@@ -107,9 +107,8 @@ _METRICS = _columns(
 )
 TABLES: dict[str, Table] = {
     "metrics.parquet": _table(
-        "A row per log, planner, mode and metric. `metrics.csv` is the same; there "
-        "an apostrophe precedes a text that spreadsheets take for a formula. In a log's folder: of "
-        "that log.",
+        "A row per log, planner, mode and metric. `metrics.csv` is the same; there an apostrophe "
+        "precedes a text that spreadsheets take for a formula. In a log's folder: of that log.",
         ("schema_version", "count", "of all these tables; not in a log's folder"),
         *_METRICS,
     ),

@@ -331,9 +331,8 @@ def report_of(again: ReplannedFrame) -> Iterator[str]:
     futures = frame.predictions
     yield (
         f"  ego {frame.ego.x:.2f}, {frame.ego.y:.2f} m, {frame.ego.v:.2f} m/s, {frame.ego.a:.2f} "
-        "m/s²; "
-        f"{counted(len(frame.agents), 'agent')}, {counted(len(futures), 'prediction')} of"
-        f" {counted(len(futures.t), 'sample')} ({futures.method})"
+        f"m/s²; {counted(len(frame.agents), 'agent')}, {counted(len(futures), 'prediction')} of "
+        f"{counted(len(futures.t), 'sample')} ({futures.method})"
     )
     stages = ", ".join(f"{stage} {1e3 * seconds:.2f}" for stage, seconds in again.seconds.items())
     yield f"  stages [ms, with compiling]: {stages}"
@@ -343,11 +342,10 @@ def report_of(again: ReplannedFrame) -> Iterator[str]:
         bounds = int((abs(problem.lower) < 1e9).sum() + (abs(problem.upper) < 1e9).sum())
         outcome = "solved" if report.solved else "NOT SOLVED"
         yield (
-            f"  {report.stage}: {3 * knots} unknowns, {2 * (knots - 1) + 3} equalities,"
-            f" {counted(bounds, 'finite bound')}, {counted(leads, 'lead')}; {outcome} "
-            f"({report.status}),"
-            f" {counted(report.iterations, 'iteration')}, residuals {report.primal_residual:.1e},"
-            f" {report.dual_residual:.1e}"
+            f"  {report.stage}: {3 * knots} unknowns, {2 * (knots - 1) + 3} equalities, "
+            f"{counted(bounds, 'finite bound')}, {counted(leads, 'lead')}; {outcome} "
+            f"({report.status}), {counted(report.iterations, 'iteration')}, residuals "
+            f"{report.primal_residual:.1e}, {report.dual_residual:.1e}"
         )
     for report in (
         artefact

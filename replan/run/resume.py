@@ -108,8 +108,7 @@ def finished(
         if identity not in inputs:
             raise ConfigError(
                 f"{out}: holds results of {result.source}, which is not among the logs or has "
-                "changed; name the same"
-                f" logs as before, or {START_OVER}"
+                f"changed; name the same logs as before, or {START_OVER}"
             )
         results[inputs[identity]] = replace(result, source=sources[inputs[identity]].label)
     clear_partial(out)

@@ -40,8 +40,7 @@ from replan.replay.planner_process.planner_config import (
 
 DRIVEN_PATH_NOTE = (
     "the road is the driven path: the planner knows where the log's driver went; open-loop errors "
-    "across the path say"
-    " nothing"
+    "across the path say nothing"
 )
 
 

@@ -21,8 +21,7 @@ FIELDS = {
     "Road": "lanes source drives_on_right default_speed_limit stop_lines crosswalks",
     "lanes": (
         "id left right successors left_neighbour right_neighbour left_opposite speed_limit "
-        "drivable left_crossable"
-        " right_crossable kind right_opposite yields_to"
+        "drivable left_crossable right_crossable kind right_opposite yields_to"
     ),
     "stop_lines": "id lane points light must_stop towards",
     "crosswalks": "id polygon",

@@ -41,11 +41,9 @@ def test_a_planner_that_follows_the_compass_is_found_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "compass_planner.py").write_text(
-        "from dataclasses import replace\n"
-        "from replan.planners.constant_speed import ConstantSpeed\n"
-        "class Compass(ConstantSpeed):\n"
-        "    def plan(self, frame):\n"
-        "        return super().plan(replace(frame, ego=replace(frame.ego, yaw=0.0)))\n"
+        "from dataclasses import replace\nfrom replan.planners.constant_speed import "
+        "ConstantSpeed\nclass Compass(ConstantSpeed):\n    def plan(self, frame):\n        return "
+        "super().plan(replace(frame, ego=replace(frame.ego, yaw=0.0)))\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
     planners, names = ("constant_speed", "compass_planner:Compass"), ("turn_30", "clock")

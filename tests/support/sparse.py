@@ -13,8 +13,7 @@ SPARSE = {
     "replay/planner_process/test_apart.py::test_what_is_driven_does_not_depend_on_the_process": 3,
     # 31 s, 2
     "replay/planner_process/test_batch.py::test_the_numbers_are_those_of_logs_by_themselves": 2,
-    "replay/planner_process/test_templates.py::"
-    "test_a_run_in_a_worker_still_sees_what_is_not_deterministic": 2,  # 14 s, 2
+    "replay/planner_process/test_templates.py::test_a_run_in_a_worker_still_sees_what_is_not_deterministic": 2,  # 14 s, 2
     "replan/run/test_resume.py::test_a_resumed_run_gives_the_bytes_of_one_that_was_never_interrupted": 3,  # 64 s, 3
     # 14 s; a killed worker runs
     "replan/run/test_batch.py::test_a_killed_planner_costs_its_drives_only": 0,
@@ -61,8 +60,7 @@ SPARSE = {
 LATER = {
     # the command line: a run or a process each
     "replan/cli/test_exit_codes.py::test_exit_codes": 7,  # 24 s, 48 cases
-    "replan/cli/test_exit_codes.py::"
-    "test_a_signal_before_and_in_a_command_ends_it_with_130_and_after_it_changes_nothing": 0,  # 4 s
+    "replan/cli/test_exit_codes.py::test_a_signal_before_and_in_a_command_ends_it_with_130_and_after_it_changes_nothing": 0,  # 4 s
     # 7 s
     "replan/cli/test_streams.py::test_exit_codes_with_closed_streams_are_those_with_open_ones": 0,
     "replan/cli/test_words.py::test_json_is_one_document_and_says_what_the_words_say": 4,  # 7 s, 11
@@ -122,10 +120,8 @@ LATER = {
     "planners/dp_qp/test_ties.py::test_plans_of_the_catalogue_do_not_depend_on_rounding": 4,
     # 3 s, 2
     "planners/dp_qp/test_moving_obstacles.py::test_no_agent_is_passed_near_a_waiting_place": 2,
-    "planners/dp_qp/test_moving_obstacles.py::"
-    "test_a_free_neighbouring_lane_is_borrowed_and_recorded": 0,  # 2 s
-    "planners/dp_qp/speed/test_caps.py::"
-    "test_the_chosen_order_costs_least_and_its_reason_states_the_gap": 2,  # 3 s, 2
+    "planners/dp_qp/test_moving_obstacles.py::test_a_free_neighbouring_lane_is_borrowed_and_recorded": 0,  # 2 s
+    "planners/dp_qp/speed/test_caps.py::test_the_chosen_order_costs_least_and_its_reason_states_the_gap": 2,  # 3 s, 2
     # 4 s, 4
     "planners/rules/test_planner_rules.py::test_a_large_gap_is_taken_and_a_small_one_not": 4,
     # 3 s, 4
@@ -140,8 +136,7 @@ LATER = {
     "logs/edit/test_transform.py::test_mirroring_twice_is_the_identity": 3,  # 2 s, 22
     "metrics/test_health.py::test_the_catalogue_is_clean": 3,  # 3 s, 22
     "metrics/test_compare_rules.py::test_each_rule_judges_its_change": 4,  # 3 s, 11
-    "metrics/test_metric.py::"
-    "test_all_metrics_of_the_shortest_drives_have_a_value_or_a_reason": 3,  # 2 s, 10
+    "metrics/test_metric.py::test_all_metrics_of_the_shortest_drives_have_a_value_or_a_reason": 3,  # 2 s, 10
     "metrics/test_nuplan.py::test_all_parts_equal_those_of_the_devkit_on_recorded_logs": 0,  # 1 s
     # 2 s, 6
     "metrics/test_reference_drivers.py::test_5_cm_of_noise_leave_verdicts_that_are_not_marginal": 3,

@@ -74,8 +74,7 @@ NOT_CROSSABLE = {"solid", "broad_solid", "solid_solid", "curb"}
 LEFT_HAND_COUNTRIES = frozenset(
     (  # noqa: SIM905
         "AUS BGD BHS BRB BRN BTN BWA CYP FJI GBR GUY HKG IDN IMN IND IRL JAM JPN KEN LKA LSO MAC "
-        "MDV "
-        "MLT MOZ MUS MWI MYS NAM NPL NZL PAK PNG SGP SUR SWZ SYC THA TLS TTO TZA UGA ZAF ZMB "
+        "MDV MLT MOZ MUS MWI MYS NAM NPL NZL PAK PNG SGP SUR SWZ SYC THA TLS TTO TZA UGA ZAF ZMB "
         "ZWE"
     ).split()
 )

@@ -129,8 +129,7 @@ def states(ego: EgoLog, v: FloatArray, a: FloatArray, notes: list[str]) -> dict[
     ]
     notes.append(
         f"The log has no ego {' and no ego '.join([*lacking, 'curvature'])}: derived from the "
-        "poses of the last"
-        f" {window_s:.2g} s (least squares, no later pose)."
+        f"poses of the last {window_s:.2g} s (least squares, no later pose)."
     )
     v = np.where(np.isfinite(v), v, derived_v)
     a = np.where(np.isfinite(a), a, derived_a)

@@ -258,8 +258,7 @@ def times_of(
                 worst = float(np.abs(late - usual).max())
                 notes.append(
                     f"{len(log) - len(keep)} of {len(log)} messages of {topic} are stale, by up to "
-                    f"{worst:.1f} s, and"
-                    " left out."
+                    f"{worst:.1f} s, and left out."
                 )
             times = stamps[keep]
     order = np.argsort(times, kind="stable")

@@ -312,8 +312,7 @@ def _frame_of_twist(
     if misfit > MISFIT:
         notes.append(
             "The logged velocities of objects do not fit their displacement (median difference "
-            f"{misfit:.0%} of the"
-            " speed) and are not used."
+            f"{misfit:.0%} of the speed) and are not used."
         )
         return None
     if schema.twist_frame == "log" or best != schema.twist_frame:

@@ -233,10 +233,8 @@ def _fill_velocities(
     velocity = np.where(explained, 0.0, velocity)
     notes.append(
         f"Velocities of objects ({missing.mean():.0%} of the samples) are derived from their "
-        "positions in the last"
-        f" {AGENT_WINDOW_S} s (for objects that are not road users: the last {OBJECT_WINDOW_S:g} "
-        "s). Motion within the"
-        " noise of positions counts as standing."
+        f"positions in the last {AGENT_WINDOW_S} s (for objects that are not road users: the last "
+        f"{OBJECT_WINDOW_S:g} s). Motion within the noise of positions counts as standing."
     )
     return np.where(missing, velocity[0], samples.vx), np.where(missing, velocity[1], samples.vy)
 

@@ -222,11 +222,9 @@ def legend(trace: Trace) -> list[str]:
     )
     scene = [
         "- Scene: the ego and its driven path are blue; the plan is red (standing) to green "
-        "(fastest), with a dot per "
-        "second",
+        "(fastest), with a dot per second",
         "- Agents: cars are orange, trucks and buses dark orange, pedestrians pink, riders violet, "
-        "objects grey; "
-        "an arrow shows the displacement in one second",
+        "objects grey; an arrow shows the displacement in one second",
         "- Thin lines from agents: their predictions as shown to the planner, likelier ones "
         "brighter",
         "- Teal boxes: agents where the planner saw them (through a sensor model, or carried on "
@@ -235,11 +233,9 @@ def legend(trace: Trace) -> list[str]:
     ]
     graph = [
         "- Graphs: the nodes of the grid are blue (cheapest of their column) to yellow, without "
-        "those that were not "
-        "reached; DP yellow, QP light blue, corridor green",
+        "those that were not reached; DP yellow, QP light blue, corridor green",
         "- Pink outlines in the S-T graph: where its agents really drove, without margin",
         "- Obstacles have the colour of the decision: stop and yield red, follow orange, overtake "
-        "green, nudge violet, "
-        "ignore grey",
+        "green, nudge violet, ignore grey",
     ]
     return ["## Legend", "", *scene, *(graph if graphs else []), ""]

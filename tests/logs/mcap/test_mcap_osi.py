@@ -50,9 +50,8 @@ MESSAGES = {
     "Pairing": "antecessor_lane_id:Id successor_lane_id:Id",
     "LaneClass": (
         "type:LaneType centerline:Vector* centerline_is_driving_direction:bool "
-        "left_adjacent_lane_id:Id*"
-        " right_adjacent_lane_id:Id* lane_pairing:Pairing* left_lane_boundary_id:Id* "
-        "right_lane_boundary_id:Id*"
+        "left_adjacent_lane_id:Id* right_adjacent_lane_id:Id* lane_pairing:Pairing* "
+        "left_lane_boundary_id:Id* right_lane_boundary_id:Id*"
     ),
     "Lane": "id:Id classification:LaneClass",
     "Point": "position:Vector",
@@ -67,10 +66,8 @@ MESSAGES = {
     ),
     "GroundTruth": (
         "timestamp:Timestamp host_vehicle_id:Id moving_object:Moving* "
-        "stationary_object:Stationary*"
-        " lane:Lane* lane_boundary:Boundary* logical_lane:LogicalLane* "
-        "logical_lane_boundary:LogicalBoundary*"
-        " traffic_light:Id*"
+        "stationary_object:Stationary* lane:Lane* lane_boundary:Boundary* "
+        "logical_lane:LogicalLane* logical_lane_boundary:LogicalBoundary* traffic_light:Id*"
     ),
     "SensorView": "global_ground_truth:GroundTruth",
 }

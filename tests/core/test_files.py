@@ -33,7 +33,7 @@ pytestmark = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="the system ha
 @pytest.fixture(autouse=True)
 def deadline() -> Iterator[None]:
     """A pipe that is opened blocks for ever: SIGALRM ends the test then."""
-    signal.alarm(30)
+    signal.alarm(120)
     yield
     signal.alarm(0)
 

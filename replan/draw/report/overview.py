@@ -99,6 +99,7 @@ class Overview:
     planners: Mapping[str, str]  # Names of the planners with their marks
     values: Values  # The available values
     over_logs: Mapping[tuple[str, str, str], list[float]]  # By planner, mode and metric
+    timings: pd.DataFrame  # Times of the stages of planning
     verdicts: pd.DataFrame  # `log_outcomes`
     gates: Sequence[GateRow]  # Failed and inconclusive gates first
     standings: pd.DataFrame  # Rows of `replan.metrics.judge.aggregate.standings`
@@ -202,6 +203,7 @@ def overview(
         },
         values=values,
         over_logs=over_logs,
+        timings=results.timings,
         verdicts=verdicts,
         gates=_gate_rows(results, verdicts),
         standings=stand,

@@ -359,7 +359,7 @@ LATENCY = (
 
 
 def _latency(over: Overview) -> ReportSection:
-    timings, rows = over.results.timings, list[StageTimes]()
+    timings, rows = over.timings, list[StageTimes]()
     for planner, of_planner in timings.groupby("planner", sort=False, observed=True):
         stages = dict(iter(of_planner.groupby("stage", sort=False, observed=True)["seconds"]))
         whole_s = float(stages["total"].sum()) if "total" in stages else 0.0

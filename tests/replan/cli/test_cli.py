@@ -476,7 +476,7 @@ def test_a_picture_of_a_run_is_its_worst_drive(
     )
     every = replan("view", recorded, "--screenshot", tmp_path / "x.png")
     row = overview(load(recorded)).drives[0]
-    assert row is not None and drawn[0].parent == recorded / row.folder
+    assert drawn[0] == recorded / row.recording
     assert (
         f"{row.log}, constant_speed, " in every.stdout and "the worst of 4 drives" in every.stdout
     )

@@ -41,7 +41,7 @@ d_k and turns theta_k between them, h = `STEP_S`:
 (2) theta_k = h v_k kappa_k,   kappa_k = kappa_0 + h (c_0 + ...)
     least squares + `CURVATURE_PENALTY` sum of c_k^2 + 1e-10 kappa_0^2
 
-Then, as in `replan.planners.pdm.planner` (2), (3) with those v and kappa, and its (4) with the
+Then, as in `replan.planners.pdm.lqr_tracker` (1), (2) with those v and kappa, and its (3) with the
 Euler rule: positions, heading and steering move with the speed, heading and steering before the
 step. NAVSIM's tracker has the wheelbase of nuPlan's car (`NUPLAN_WHEELBASE_M`) whatever the car is.
 
@@ -70,7 +70,7 @@ from replan.metrics.boxes import BEHIND, NO_TTC_MPS, STANDING_MPS, EgoOutline
 from replan.metrics.comfort import savgol
 from replan.metrics.devkit_lanes import DevkitLanes, devkit_lanes
 from replan.metrics.nuplan_closed_loop import AHEAD, comfort_signals, comfortable, corners_of
-from replan.planners.pdm.planner import (
+from replan.planners.pdm.lqr_tracker import (
     ACCEL_LAG_S,
     AHEAD as STEPS_AHEAD,
     Q_HEADING,

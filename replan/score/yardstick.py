@@ -4,11 +4,11 @@ the parts).
 PDM-Closed as NAVSIM runs it beside each plan: fifteen IDM drivers on three lines, the best by
 NAVSIM's own parts. On the centre line and 1 m to both sides of it, five drivers with 0.2 to 1 times
 the limit of the first lane (15 m/s without one), from the projection of the rear axle and with the
-ego's speed: `replan.planners.pdm.planner` (1), Euler steps of 0.1 s, no bound on the speed below.
-They know road users within 100 m at constant speed, and lanes behind red lights as standing. Every
-other step looks for the leader: of those that touch the corridor of the car's width and are ahead,
-the nearest to the car's box; without one, the end of the line. The first step has a leader at a gap
-of 1 m that stands: the original's array is still empty.
+ego's speed: `replan.planners.pdm.idm_drivers` (1), Euler steps of 0.1 s, no bound on the speed
+below. They know road users within 100 m at constant speed, and lanes behind red lights as standing.
+Every other step looks for the leader: of those that touch the corridor of the car's width and are
+ahead, the nearest to the car's box; without one, the end of the line. The first step has a leader
+at a gap of 1 m that stands: the original's array is still empty.
 
 Each is driven by `navsim.simulated` and judged by `navsim.judged` among the predictions; the score
 leaves out EC, and HC is 1 in v2. `replan.planners.pdm` is a planner after the same paper: it obeys

@@ -84,7 +84,11 @@ GROUP_COLUMNS = (
     "significant",
 )
 BY_LOG = ("worst", "pass_share")  # `over` of the gates that each log passes or fails by itself
-PARTING_COLUMNS = (*DRIVE, "t_s", "stage", "what")
+PARTING_NUMBERS = ("t_s", "ahead_m", "left_m")
+PARTING_COLUMNS = (*DRIVE, "t_s", "stage", "what", "agent", "kind", "ahead_m", "left_m", "lights")
+"""Of a first difference: also the agent that it is about, its kind and its place in the ego's
+frame, and the colours of the lights, as text.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,6 +154,8 @@ class Comparison:
     )
     verdicts: tuple[RuleVerdict, ...] = ()
     not_looked_at: int = 0  # Number of differing drives whose first difference was not searched
+    equal_drives: int = 0  # Number of drives with the same states, commands and plans, in bits
+    unpaired: str = ""  # Command that pairs planners of other names
     # Metrics of gates or rules that the baseline has in another version, or that only the baseline
     # has
     not_compared: tuple[str, ...] = ()
@@ -178,10 +184,10 @@ class Comparison:
                 set(of_loop.loc[of_loop["after"] == word, DRIVE].itertuples(index=False, name=None))
                 for word in (Outcome.PASS.value, Outcome.FAIL.value)
             )
-            mixed = f", {len(better & worse)} both" if better & worse else ""
+            mixed = f", to both in {len(better & worse)}" if better & worse else ""
             drives = len(self.pairs.loc[self.pairs["mode"] == mode, DRIVE].drop_duplicates())
-            counts = f"{len(better - worse)} better, {len(worse - better)} worse{mixed}"
-            sentences.append(f"{mode.capitalize()} loop, by gates: {counts}, of {drives} drives.")
+            counts = f"to FAIL in {len(worse - better)}, to pass in {len(better - worse)}{mixed}"
+            sentences.append(f"{mode.capitalize()} loop: gates flip {counts}, of {drives} drives.")
         return tuple(sentences)
 
     def regressions(self, most: int, each: int = 2) -> pd.DataFrame:

@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shlex
 from dataclasses import replace
-from math import nan
+from math import cos, nan, sin
 from pathlib import Path
 from typing import Any
 
@@ -24,11 +25,14 @@ from replan.core.errors import ConfigError, LogError, unknown_name
 from replan.core.files import Near, check_named, read_toml
 from replan.core.settings import flat
 from replan.draw.drawn_results import Results, loaded
-from replan.explain.first_difference import first_difference, planners_part
+from replan.explain.first_difference import first_difference
+from replan.explain.planners_part import planners_part
 from replan.logs.mcap import read_trace
 from replan.logs.mcap.container import read_container
+from replan.logs.scenario import Scenario
+from replan.logs.trace import Trace
 from replan.metrics import COLUMNS, METRICS, load_metric
-from replan.metrics.comparison import PARTING_COLUMNS, Comparison, Side, compare
+from replan.metrics.comparison import PARTING_COLUMNS, PARTING_NUMBERS, Comparison, Side, compare
 from replan.metrics.comparison_rules import judge_rules
 from replan.metrics.judge import REFERENCE
 from replan.metrics.judge.gates import GateRule, load_gates, load_rules
@@ -38,7 +42,7 @@ from replan.results.log_result import LogFileCard
 from replan.results.schema import SCHEMA_VERSION, check_table, checked, read_json
 from replan.results.tables import LOG_CARD, write_file
 
-MOST_PARTINGS = 20
+MOST_PARTINGS = 60
 """The first difference is searched in at most this many drives, the worst first."""
 BASELINE = b"replan_baseline"
 """Key of the metadata of a baseline's file."""
@@ -57,6 +61,8 @@ NOT_INPUTS = (
     "selection",
 )
 """Keys of a run that change no drive, or whose changes are visible in the set of drives."""
+NO_AGENT: dict[str, Any] = {"agent": "", "kind": "", "ahead_m": nan, "left_m": nan, "lights": ""}
+"""Fields of a first difference that is about no agent."""
 UNKNOWN = "not known"
 """Stage of the first difference if a trace cannot be read."""
 
@@ -215,8 +221,8 @@ def compare_runs(
         ConfigError: A planner is not in its run, or the gates cannot be read.
         LogError: The tables of a run are damaged.
     """
-    pair = (planners[0], planners[-1]) if planners else None
     before, after = side_of(baseline), side_of(candidate)
+    pair = (planners[0], planners[-1]) if planners else _only_pair(before, after)
     own = (load_metric(spec) for spec in dict.fromkeys((*before.metrics, *after.metrics)))
     metrics = {**METRICS, **{metric.name: metric for metric in own}}
     common = set(_driven_planners(before)) & set(_driven_planners(after))
@@ -250,6 +256,8 @@ def compare_runs(
         before, after, load_gates(gates, metrics=metrics), {rule.metric for rule in rules} - {""}
     )
     comparison = judge_rules(rules, comparison, before.labels | after.labels)
+    unpaired = "" if pair is not None else _pairing_command((baseline, before), (candidate, after))
+    comparison = replace(comparison, unpaired=unpaired)
     if not (isinstance(baseline, Results) and isinstance(candidate, Results) and partings):
         return comparison
     return _with_first_differences(comparison, (baseline, candidate), pair, partings)
@@ -257,6 +265,29 @@ def compare_runs(
 
 def _driven_planners(side: Side) -> tuple[str, ...]:
     return tuple(dict.fromkeys(side.driven["planner"]))
+
+
+def _only_pair(before: Side, after: Side) -> tuple[str, str] | None:
+    """Return the planners of two runs of one planner each, if they have other names."""
+    names = [
+        list(dict.fromkeys([*_driven_planners(side), *(planner for _, planner, _ in side.crashed)]))
+        for side in (before, after)
+    ]
+    is_pair = [len(planners) for planners in names] == [1, 1] and names[0] != names[1]
+    return (names[0][0], names[1][0]) if is_pair else None
+
+
+def _pairing_command(before: tuple[Run, Side], after: tuple[Run, Side]) -> str:
+    """Return the command that pairs planners that only one of the runs has; "" if there is none."""
+    names = [_driven_planners(side) for _, side in (before, after)]
+    alone = [
+        next((planner for planner in own if planner not in others), "")
+        for own, others in (names, names[::-1])
+    ]
+    if not all(alone):
+        return ""
+    runs = [str(run.path) if isinstance(run, Results) else run.label for run, _ in (before, after)]
+    return shlex.join(["replan", "compare", *runs, "-p", alone[0], "-p", alone[1]])
 
 
 def _select_planner(side: Side, planner: str, name: str) -> Side:
@@ -281,46 +312,97 @@ def _with_first_differences(
     regressions.
     """
     order = pd.concat([comparison.flips[DRIVE], comparison.pairs[DRIVE]]).drop_duplicates()
-    rows: list[tuple[Any, ...]] = []
-    looked = 0
+    rows: list[dict[str, Any]] = []
+    differing = equal = 0
     for log, planner, mode in order.itertuples(index=False, name=None):
         names = pair or (planner, planner)
         files = [
             results.drive(log, name, mode).trace_file
             for results, name in zip(runs, names, strict=True)
         ]
-        if all(file.is_file() for file in files) and files[0].read_bytes() == files[1].read_bytes():
-            continue
-        looked += 1
-        if looked > limit:
-            continue
+        row = {"log": log, "planner": planner, "mode": mode, **NO_AGENT}
         try:
-            first, second = (read_trace(file)[0] for file in files)
+            if _are_equal(files):
+                equal += 1
+                continue
+            differing += 1
+            if differing <= limit:
+                rows += [row | fields for fields in _parting(files, two_planners=len({*names}) > 1)]
         except LogError as error:
-            rows.append((log, planner, mode, nan, UNKNOWN, f"a trace cannot be read: {error}"))
-            continue
-        difference, parted = (
-            first_difference(first, second),
-            planners_part(first, second) if names[0] != names[1] else None,
-        )
-        if difference is not None:  # for two planners, at the time at which their drives differ
-            time, description = (
-                (parted.t, f"{parted.what}; first difference: {difference.what}")
-                if parted
-                else (difference.t, difference.what)
-            )
-            rows.append((log, planner, mode, time, difference.stage, description))
-    table = pd.DataFrame(rows, columns=list(PARTING_COLUMNS)).astype({"t_s": float})
-    return replace(comparison, partings=table, not_looked_at=max(looked - limit, 0))
+            differing += 1
+            reason = f"a trace cannot be read: {error}"
+            rows.append({**row, "t_s": nan, "stage": UNKNOWN, "what": reason})
+    table = pd.DataFrame(rows, columns=list(PARTING_COLUMNS))
+    table = table.astype(dict.fromkeys(PARTING_NUMBERS, float))
+    return replace(
+        comparison,
+        partings=table,
+        equal_drives=equal,
+        not_looked_at=max(differing - limit, 0),
+    )
 
 
-def view_command(run: Run, log: str, planner: str, mode: str) -> str:
-    """Return the command that shows a drive; "" for a baseline file.
+def _are_equal(files: list[Path]) -> bool:
+    """Return whether two traces have the same messages; a planner's name is none of them."""
+    if all(file.is_file() for file in files) and files[0].read_bytes() == files[1].read_bytes():
+        return True
+    first, second = (read_container(file).streams for file in files)
+    return first.keys() == second.keys() and all(
+        stream.times == second[topic].times and stream.payloads == second[topic].payloads
+        for topic, stream in first.items()
+    )
 
-    For planners "a -> b", it shows the drive of b.
+
+def _parting(files: list[Path], *, two_planners: bool) -> list[dict[str, Any]]:
+    """Return the row of the first difference; none if it is below the tolerance.
+
+    For two planners, it is the time at which their drives differ.
+    """
+    (first, scenario), (second, _) = map(read_trace, files)
+    difference = first_difference(first, second)
+    if difference is None:
+        return []
+    parted = planners_part(first, second) if two_planners else None
+    t, sentence = difference.t, difference.what
+    place = _agent_place(first, t, difference.agent)
+    if parted is not None:
+        t, sentence = parted.t, f"{parted.what}; first difference: {sentence}"
+    lights = _light_colours(scenario, difference.t)
+    return [{"t_s": t, "stage": difference.stage, "what": sentence, **place, "lights": lights}]
+
+
+def _agent_place(trace: Trace, t: float, agent: str) -> dict[str, Any]:
+    """Return the agent with its kind and its place in the ego's frame, if it is in the log."""
+    agents, ego = trace.agents.perceived(t), trace.ego.at(t)
+    if agent not in agents.ids:
+        return NO_AGENT | {"agent": agent}
+    row = agents.ids.index(agent)
+    dx, dy = agents.x[row] - ego.x, agents.y[row] - ego.y
+    ahead_m = dx * cos(ego.yaw) + dy * sin(ego.yaw)
+    left_m = dy * cos(ego.yaw) - dx * sin(ego.yaw)
+    kind = agents.kinds[row].value
+    return {"agent": agent, "kind": kind, "ahead_m": ahead_m, "left_m": left_m}
+
+
+def _light_colours(scenario: Scenario, t: float) -> str:
+    """Return the colours that lights show at a time, as text."""
+    rows = [(light, int(light.t.searchsorted(t, side="right")) - 1) for light in scenario.lights]
+    return ", ".join(sorted({light.colours[row].value for light, row in rows if row >= 0}))
+
+
+def look_commands(run: Run, log: str, planner: str, mode: str) -> dict[str, str]:
+    """Return the commands that show and explain a drive, by purpose; none for a baseline file.
+
+    For planners "a -> b", they are about the drive of b.
     """
     if isinstance(run, Side):
-        return ""
-    drive = run.drive(log, planner.split(" -> ")[-1], mode)
+        return {}
+    driven = planner.split(" -> ")[-1]
+    drive = run.drive(log, driven, mode)
     recording = drive.trace_file.with_suffix(".rrd")
-    return f"replan view {recording if recording.is_file() else drive.trace_file}"
+    file = recording if recording.is_file() else drive.trace_file
+    options = [str(run.path), log, "-p", driven, "--mode", mode]
+    return {
+        "Look at the worst regression": shlex.join(["replan", "view", str(file)]),
+        "Why": shlex.join(["replan", "explain", *options]),
+    }

@@ -100,6 +100,15 @@ class StrictCommand(TyperCommand):
                 times[options[name]] += 1
                 if word == name:  # its value is the next word
                     next(words, None)
+        arguments = {
+            f"--{parameter.name}"
+            for parameter in self.params
+            if parameter.param_type_name == "argument"
+        }
+        for name in (word.partition("=")[0] for word in args):
+            if name in arguments:
+                hint = f"is given by position: {ctx.command_path} {name[2:].upper()} ..."
+                raise typer.BadParameter(hint, ctx, param_hint=name)
         for option, number in times.items():
             if number > 1 and not option.multiple:
                 raise typer.BadParameter(

@@ -304,6 +304,7 @@ class Look(StrEnum):
 @app.command()
 def plot(
     result: Annotated[Path, typer.Argument(help="A folder of results.")],
+    log_name: opt.LogByPosition = None,
     log: opt.OfLog = None,
     planner: Annotated[
         list[str] | None,
@@ -349,7 +350,7 @@ def plot(
     from replan.run.claim import claimed_files
 
     run, planners = load(result), list(dict.fromkeys(planner or ()))
-    chosen = chosen_drive(run, log, next(iter(planners), None), mode)
+    chosen = chosen_drive(run, opt.only_log(log_name, log), next(iter(planners), None), mode)
     drive = chosen.drive
     drawn = subject(drive, at, [run.drive(drive.log, other, drive.mode) for other in planners[1:]])
     name = "-".join(
@@ -380,6 +381,7 @@ def plot(
 @app.command()
 def explain(
     result: Annotated[Path, typer.Argument(help="A folder of results.")],
+    log_name: opt.LogByPosition = None,
     log: opt.OfLog = None,
     planner: opt.OfPlanner = None,
     mode: opt.OfMode = None,
@@ -398,12 +400,12 @@ def explain(
 
       replan explain results/run-001
       replan explain results/run-001 --all
-      replan explain results/run-001 --log paper/crossing_pedestrian --at 6.5
+      replan explain results/run-001 paper/crossing_pedestrian --at 6.5
     """
     from replan.draw.drawn_results import load
     from replan.explain.explanation import explained, lines_of, summary
 
-    chosen = chosen_drive(load(result), log, planner, mode)
+    chosen = chosen_drive(load(result), opt.only_log(log_name, log), planner, mode)
     drive = chosen.drive
     ended = (
         f"{chosen.drive.title}: {drive.info['end']} after {drive.info['t_end_s']:.2f} "
@@ -428,6 +430,7 @@ def explain(
 def frame(
     result: Annotated[Path, typer.Argument(help="A folder of results.")],
     at: Annotated[float, opt.at_option("The last frame up to it is planned again.")],
+    log_name: opt.LogByPosition = None,
     log: opt.OfLog = None,
     planner: opt.OfPlanner = None,
     mode: opt.OfMode = None,
@@ -462,7 +465,7 @@ def frame(
             f"no drive of '{planner}' in the run ({', '.join(sorted(driven))}); to plan with it: "
             "--with"
         )
-    chosen = chosen_drive(results, log, planner, mode)
+    chosen = chosen_drive(results, opt.only_log(log_name, log), planner, mode)
     with nullcontext() if dump is None else claimed_file(dump, (".msgpack",)):
         again = replan_frame(chosen.drive, at, other, debug=debug)
         say(f"{chosen.drive.title}{chosen.remark}")

@@ -141,6 +141,19 @@ Loop = Literal["both", "open", "closed"]
 OfLog = Annotated[
     str | None, log_option(None, "Drives of this log, or of the logs with this in the name.")
 ]
+LogByPosition = Annotated[
+    str | None,
+    typer.Argument(metavar="[LOG]", help="As --log: a log of the run, or a part of its name."),
+]
+
+
+def only_log(by_position: str | None, by_option: str | None) -> str | None:
+    """The log that is named by position or by --log; ConfigError if both name one."""
+    if by_position is not None and by_option is not None:
+        raise ConfigError("name the log once: by position, or with --log")
+    return by_position if by_option is None else by_option
+
+
 OfPlanner = Annotated[str | None, planner_option(None, "Drives of this planner.")]
 OfMode = Annotated[Loop | None, option(None, "Drives in this loop. Default: both.", "--mode")]
 Ego = Annotated[
@@ -174,7 +187,10 @@ Foxglove = Annotated[
 Json = Annotated[
     bool, option(OUTPUT, "Write one JSON document, and nothing else, to stdout.", "--json")
 ]
-Quiet = Annotated[bool, option(OUTPUT, "Print errors and the outcome only.", "--quiet", "-q")]
+Quiet = Annotated[
+    bool,
+    option(OUTPUT, "Print errors, each failure and the outcome only.", "--quiet", "-q"),
+]
 Settings = Annotated[Path | None, config_option("TOML file of a run: its \\[log] table.")]
 Set = Annotated[
     list[str] | None,

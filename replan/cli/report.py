@@ -61,6 +61,7 @@ def finish_run(
     """
     from replan.api import finished
     from replan.draw.report.comparison_sections import document, last_line
+    from replan.draw.report.overview import WORST, failure_lines
     from replan.draw.report.terminal import print_ending, print_report
 
     location, over = url or str(results.path), finished(results, before, gates, report=report)
@@ -69,7 +70,15 @@ def finish_run(
         compared = {} if comparison is None else {"comparison": document(comparison)}
         say_json({"results": location, **results.summary, **compared})
     elif quiet:
+        for _, line in failure_lines(over):
+            say(f"FAIL: {line}")
+        for gate in over.gates:
+            if gate.outcome == "fail" and gate.over != WORST:
+                say(f"FAIL: {gate.rule}: {gate.reason}")
         if comparison is not None:
+            for verdict in comparison.verdicts:
+                if verdict.outcome.value == "fail":
+                    say(f"FAIL: {verdict.rule}: {verdict.reason}")
             say(last_line(comparison, alone=False))
         say(f"Outcome: {over.outcome.upper()} (exit code {over.exit_code}); results: {location}")
     else:
@@ -265,11 +274,11 @@ def compare(
 
 def print_tables(comparison: Comparison, candidate: Run, *, alone: bool = True) -> None:
     """Print a comparison as tables; `alone`: its exit code is that of the command."""
-    from replan.compare_runs import view_command
+    from replan.compare_runs import look_commands
     from replan.draw.report.terminal import print_comparison
 
     print_comparison(
-        comparison, console_of(130), lambda *drive: view_command(candidate, *drive), alone=alone
+        comparison, console_of(130), lambda *drive: look_commands(candidate, *drive), alone=alone
     )
 
 

@@ -24,7 +24,8 @@ from replan.core.errors import LogError
 from replan.draw.drawn_results import DriveResult, Results
 from replan.experiments.trial import MODE, Trial
 from replan.explain.drive_events import GRAVE
-from replan.explain.first_difference import first_difference, planners_part
+from replan.explain.first_difference import first_difference
+from replan.explain.planners_part import planners_part
 from replan.logs.scenario import Avoidability
 from replan.metrics import METRICS
 from replan.metrics.judge import REFERENCE, Outcome, judge, outcomes

@@ -1,10 +1,9 @@
-"""The first difference of two drives of one log, in the order of cause and effect; when two
-planners part.
+"""The first difference of two drives of one log, in the order of cause and effect.
 
-Within a frame: input (agents, ego), predictions, route, lane choice, path DP (sides and available
-space), path QP, S-T graph, speed DP (order of passing, and available space), speed QP, plan; then,
-at the control rate, the command and the motion of the car. An earlier difference comes before a
-later one. For a planner without internals it is its input or its plan.
+Within a frame: input (agents, ego), predictions, start of the plan, route, lane choice, path DP
+(sides and available space), path QP, S-T graph, speed DP (order of passing, and available space),
+speed QP, plan; then, at the control rate, the command and the motion of the car. An earlier
+difference comes before a later one. For a planner without internals it is its input or its plan.
 
 (1) different = something differs by more than TOLERANCE,
         or in a word (the agents, a decision, a lane, an end)
@@ -12,12 +11,6 @@ later one. For a planner without internals it is its input or its plan.
 
 (2) looks closer than (1): a plan that is off by half a millimetre is the cause of a car that is off
 by two, and not the other way round.
-
-Two planners differ in some number from the first frame on. They part at the first time at which
-their drives (in open loop: their plans, AHEAD_S after each frame) differ enough to matter:
-
-(3) parted = the speeds differ by more than PARTED_MPS,
-        or the places by more than PARTED_M across the first one's way
 """
 
 from __future__ import annotations
@@ -26,42 +19,44 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import chain
-from math import inf, log10
+from math import inf
 from operator import attrgetter
 
 import numpy as np
 
-from replan.core.arrays import BoolArray, FloatArray
+from replan.core.arrays import FloatArray
 from replan.core.names import ShortNames
-from replan.explain.explanation import LONGITUDINAL
+from replan.explain.value_changes import (
+    FINE,
+    TOLERANCE,
+    Change,
+    Changes,
+    curve,
+    largest,
+    numbers,
+    sizes,
+    worded,
+)
 from replan.logs.plan import (
     Candidates,
     CostTerms,
     Decision,
-    DecisionKind,
     Graph,
     LaneOption,
-    Plan,
+    PlanStatus,
     SlGraph,
     StGraph,
 )
 from replan.logs.trace import Mode, PlannedFrame, Trace
 
-TOLERANCE = 1e-3
-"""Tolerance in m, rad, m/s, and pedal positions, 0 to 1: a millimetre is less than any metric
-resolves.
-"""
-FINE = 1e-8
-"""In the same units.
-
-Just above rounding (1e-9 m in the grid of a city), so that causes are separated from effects.
-"""
 SAME_TIME_S = 1e-6
 
 STAGES = (
     "vehicle",
     "input frame",
     "prediction",
+    "contract",
+    "start of the plan",
     "route",
     "lane choice",
     "path DP",
@@ -90,11 +85,13 @@ class FirstDifference:
         t: Time since the start of the scenario, s.
         stage: One of `STAGES`, or a name of the planner's own.
         what: "t = 3.20 s, speed QP: station at 4 s 12.31 -> 10.02 m".
+        agent: The agent that the difference is about; "" if there is none.
     """
 
     t: float
     stage: str
     what: str
+    agent: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +104,7 @@ class _Difference:
     stage: str
     size: float
     describe: Callable[[], str]
+    agent: str = ""
 
     @property
     def place(self) -> tuple[float, float]:
@@ -154,7 +152,8 @@ def first_difference(one: Trace, two: Trace) -> FirstDifference | None:
     if first.size <= TOLERANCE:
         later = f"; more than {TOLERANCE:g} from t = {clear.t:.2f} s on ({clear.stage})"
     sentence = f"t = {first.t:.2f} s, {first.stage}: {first.describe()}{later}"
-    return FirstDifference(first.t, first.stage, ShortNames(one.agents.ids)(sentence))
+    names = ShortNames(one.agents.ids)
+    return FirstDifference(first.t, first.stage, names(sentence), first.agent)
 
 
 def _rows(
@@ -168,11 +167,11 @@ def _rows(
     the others.
     """
     one, two = columns
-    size = _sizes(one, two)
+    size = sizes(one, two)
     for bound in (FINE, TOLERANCE):
         if (size > bound).any():
             row = int(np.argmax(size > bound))
-            describe = partial(_numbers, quantity, one[row], two[row], unit)
+            describe = partial(numbers, quantity, one[row], two[row], unit)
             yield _Difference(float(t[row]), stages[row > 0], float(size[row]), describe)
 
 
@@ -214,34 +213,71 @@ def _frame_differences(one: Trace, two: Trace) -> Iterator[list[_Difference]]:
             ]
         else:
             yield [
-                _Difference(before.t, stage, size, describe)
+                _Difference(before.t, stage, *change)
                 for stage, differences in (
                     ("input frame", _others(one, two, before, after)),
                     ("prediction", _prediction_differences(before, after)),
-                    *_inside(before, after, common_kinds),
+                    ("contract", _refusal(before, after)),
+                    ("start of the plan", _start_differences(before, after)),
+                    *_inside(before, after, common_kinds, (one, two)),
                     ("plan", _plan_differences(before, after)),
                 )
-                for size, describe in differences
+                for change in differences
             ]
 
 
-_Found = Iterator[tuple[float, Callable[[], str]]]
+@dataclass(frozen=True)
+class _Members:
+    """The agents that a frame lists: those of its input, or the obstacles of its graph.
+
+    Whoever one drive lists at `t` and the other does not may be listed there later.
+    """
+
+    noun: str
+    traces: tuple[Trace, Trace]
+    t: float
+    graph: type[Graph] | None = None  # None: the input
+
+    def difference(self, before: Sequence[str], after: Sequence[str]) -> Change:
+        """The agents that only one drive lists, and when the other one does."""
+        pairs = ((before, after), (after, before))
+        removed, added = ([name for name in a if name not in b] for a, b in pairs)
+        return Change(inf, partial(self._sentence, removed, added), [*removed, *added, ""][0])
+
+    def _sentence(self, removed: list[str], added: list[str]) -> str:
+        parts = []
+        for names, trace, words, never in (
+            (removed, self.traces[1], "later", "is gone, now and in all later plans"),
+            (added, self.traces[0], "earlier", "is new: in no later plan of the first drive"),
+        ):
+            for name in names[:3]:
+                t = next((f.t for f in trace.frames if f.t > self.t and name in self._of(f)), None)
+                comes = "" if t is None else f"comes {t - self.t:.2f} s {words} (t = {t:.2f} s)"
+                parts.append(f"{name} {comes or never}")
+            parts += [f"{len(names) - 3} more"] if len(names) > 3 else []
+        return f"{self.noun}: {'; '.join(parts) or 'in another order or number'}"
+
+    def _of(self, frame: PlannedFrame) -> Iterator[str]:
+        graphs = [item for item in frame.plan.internals if self.graph and type(item) is self.graph]
+        listed = (obstacle.agent for graph in graphs for obstacle in graph.obstacles)
+        return iter(frame.agents) if self.graph is None else listed
 
 
-def _others(one: Trace, two: Trace, before: PlannedFrame, after: PlannedFrame) -> _Found:
+def _others(one: Trace, two: Trace, before: PlannedFrame, after: PlannedFrame) -> Changes:
     """Differences of the agents that were shown to the planner, and of their states."""
     has_predictions = (
         before.predictions is not None and after.predictions is not None
     )  # else an older trace
     if has_predictions and set(before.agents) != set(after.agents):
-        yield inf, partial(_words, "agents", before.agents, after.agents)
+        yield _Members("agents", (one, two), before.t).difference(before.agents, after.agents)
         return
     tracks_of = [
         trace.agents if trace.perceived is None else trace.perceived for trace in (one, two)
     ]
     shown = [tracks.perceived(before.t) for tracks in tracks_of]
     if set(shown[0].ids) != set(shown[1].ids):
-        yield inf, partial(_words, "agents", shown[0].ids, shown[1].ids)
+        members = _Members("agents", (one, two), before.t)
+        yield members.difference(shown[0].ids, shown[1].ids)
         return
     row = {name: i for i, name in enumerate(shown[1].ids)}
     order = [row[name] for name in shown[0].ids]
@@ -254,12 +290,11 @@ def _others(one: Trace, two: Trace, before: PlannedFrame, after: PlannedFrame) -
         ("length", "m"),
     ):
         labels = [f"{name} of {agent}" for agent in shown[0].ids]
-        yield from _largest(
-            getattr(shown[0], name), getattr(shown[1], name)[order], labels.__getitem__, unit
-        )
+        states = getattr(shown[0], name), getattr(shown[1], name)[order]
+        yield from largest(*states, labels.__getitem__, unit, shown[0].ids)
 
 
-def _prediction_differences(before: PlannedFrame, after: PlannedFrame) -> _Found:
+def _prediction_differences(before: PlannedFrame, after: PlannedFrame) -> Changes:
     old, new = before.predictions, after.predictions
     if old is None or new is None or old.t.shape != new.t.shape:
         return
@@ -268,39 +303,59 @@ def _prediction_differences(before: PlannedFrame, after: PlannedFrame) -> _Found
         for frame, predictions in ((before, old), (after, new))
     ]
     if names[0] != names[1]:
-        yield inf, partial(_words, "hypotheses", names[0], names[1])
+        counts = [f"{len(hypotheses)} of {len(set(hypotheses))} agents" for hypotheses in names]
+        yield worded(f"hypotheses: {counts[0]} -> {counts[1]}, or in another order")
         return
-    yield from _largest(
-        old.probability, new.probability, lambda i: f"probability of {names[0][i]}", ""
+    yield from largest(
+        old.probability, new.probability, lambda i: f"probability of {names[0][i]}", "", names[0]
     )
+    agents = np.repeat(names[0], len(old.t))
     for name in ("x", "y"):
         one, two = getattr(old, name), getattr(new, name)
         labels = [f"{name} of {agent} in {t - before.t:g} s" for agent in names[0] for t in old.t]
-        yield from _largest(one.ravel(), two.ravel(), labels.__getitem__, "m")
+        yield from largest(one.ravel(), two.ravel(), labels.__getitem__, "m", agents)
 
 
-def _plan_differences(before: PlannedFrame, after: PlannedFrame) -> _Found:
+def _refusal(before: PlannedFrame, after: PlannedFrame) -> Changes:
+    """Whether only one of two plans was refused; the reason says more than what led to it."""
+    plans = before.plan, after.plan
+    refused = [plan for plan in plans if plan.status is PlanStatus.REFUSED]
+    if len(refused) == 1:
+        words = ["refused" if plan in refused else "not refused" for plan in plans]
+        yield worded(f"{' -> '.join(words)}: {refused[0].reason}")
+
+
+def _start_differences(before: PlannedFrame, after: PlannedFrame) -> Changes:
+    """Differences of the states in which the plans start, which a planner takes from its input.
+
+    Those of a fallback follow from it. Less than TOLERANCE may be a solver's.
+    """
     old, new = before.plan, after.plan
-    for name in ("status", "start"):
-        words = (getattr(old, name).value, getattr(new, name).value)
-        if words[0] != words[1]:
-            yield (
-                inf,
-                partial(str, f"{words[0]} -> {words[1]}{f' ({new.reason})' if new.reason else ''}"),
-            )
+    if old.status is not new.status:
+        return
+    if old.start is not new.start:
+        yield worded(f"{old.start.value} -> {new.start.value}")
+    for name, unit in (("x", "m"), ("y", "m"), ("v", "m/s")):
+        states = [getattr(plan.trajectory, name)[:1] for plan in (old, new)]
+        for change in largest(states[0], states[1], [name].__getitem__, unit):
+            if change.size > TOLERANCE:
+                yield change
+
+
+def _plan_differences(before: PlannedFrame, after: PlannedFrame) -> Changes:
+    old, new = before.plan, after.plan
+    if old.status is not new.status:
+        reason = f" ({new.reason})" if new.reason else ""
+        yield worded(f"{old.status.value} -> {new.status.value}{reason}")
     if _together(old.trajectory.t, new.trajectory.t) < max(
         len(old.trajectory), len(new.trajectory)
     ):
-        yield (
-            inf,
-            partial(
-                str, f"{len(old.trajectory)} -> {len(new.trajectory)} states, or at other times"
-            ),
-        )
+        counts = f"{len(old.trajectory)} -> {len(new.trajectory)}"
+        yield worded(f"{counts} states, or at other times")
         return
     for name, unit in (("x", "m"), ("y", "m"), ("v", "m/s")):
         labels = [f"{name} in {t - before.t:g} s" for t in old.trajectory.t]
-        yield from _largest(
+        yield from largest(
             getattr(old.trajectory, name), getattr(new.trajectory, name), labels.__getitem__, unit
         )
 
@@ -309,10 +364,10 @@ def _plan_differences(before: PlannedFrame, after: PlannedFrame) -> _Found:
 
 
 def _inside(
-    before: PlannedFrame, after: PlannedFrame, common_kinds: set[type]
-) -> Iterator[tuple[str, _Found]]:
-    """Differences of stage artefacts, if both plans have some; `kept`: the kinds of graphs that
-    both traces have.
+    before: PlannedFrame, after: PlannedFrame, common_kinds: set[type], traces: tuple[Trace, Trace]
+) -> Iterator[tuple[str, Changes]]:
+    """Differences of stage artefacts, if both plans have some; `common_kinds`: the kinds of graphs
+    that both traces have.
     """
     one, two = tuple(before.plan.internals), tuple(after.plan.internals)
     if not one or not two:
@@ -329,30 +384,28 @@ def _inside(
         )
         yield (
             "lane choice",
-            iter([(inf, partial(str, f"{choices[0][0]} -> {choices[1][0]} (now {costs})"))]),
+            iter([worded(f"{choices[0][0]} -> {choices[1][0]} (now {costs})")]),
         )
     paths = _graphs(one, two, SlGraph)
     if paths is not None:
         ends = [graph.corridor.first[:1] for graph in paths if graph.corridor is not None]
         # With the same inputs: another reference line
         if len(ends) == 2 and len(ends[0]) and len(ends[1]):
-            yield "route", _largest(ends[0], ends[1], lambda i: "station of the ego", "m")
-        yield "path DP", _room(*paths, "lateral offset", "station {:g} m", moves=False)
-        yield "path QP", _curve(paths[0].qp, paths[1].qp, "lateral offset", "station {:g} m")
+            yield "route", largest(ends[0], ends[1], lambda i: "station of the ego", "m")
+        yield "path DP", _outlines(*paths, _Members("obstacles", traces, before.t, SlGraph))
+        yield "path DP", _room(*paths, "lateral offset", "station {:g} m")
+        yield "path QP", curve(paths[0].qp, paths[1].qp, "lateral offset", "station {:g} m")
     yield "path DP", _decision_differences(one, two, "path")
     speeds = _graphs(one, two, StGraph)
     if speeds is not None:
-        yield "S-T graph", _outlines(*speeds)
-        yield "speed DP", _room(*speeds, "station", "{:g} s", moves=True)
-        yield "speed QP", _curve(speeds[0].qp, speeds[1].qp, "station", "{:g} s")
+        yield "S-T graph", _outlines(*speeds, _Members("obstacles", traces, before.t, StGraph))
+        yield "speed DP", _room(*speeds, "station", "{:g} s")
+        yield "speed QP", curve(speeds[0].qp, speeds[1].qp, "station", "{:g} s")
     yield "speed DP", _decision_differences(one, two, "speed")
     for kind, stage in ((SlGraph, "path QP"), (StGraph, "speed QP")):
         has_graph = [any(isinstance(item, kind) for item in items) for items in (one, two)]
         if kind in common_kinds and has_graph[0] != has_graph[1]:
-            yield (
-                stage,
-                iter([(inf, partial(str, "solved now" if has_graph[1] else "no longer solved"))]),
-            )
+            yield stage, iter([worded("solved now" if has_graph[1] else "no longer solved")])
     named = [
         item.stage for item in (*one, *two) if isinstance(item, Decision | CostTerms | Candidates)
     ]
@@ -372,41 +425,56 @@ def _graphs(
     return (graphs[0], graphs[1]) if graphs[0] is not None and graphs[1] is not None else None
 
 
-def _room(one: Graph, two: Graph, value: str, abscissa: str, *, moves: bool) -> _Found:
-    """Differences of the obstacles (`moves=False` only), of the choice of the DP, and of the
-    available space.
-    """
-    if not moves:
-        yield from _outlines(one, two)
+def _room(one: Graph, two: Graph, value: str, abscissa: str) -> Changes:
+    """Differences of the decisions, of the choice of the DP, and of the available space."""
     sides = [{item.agent: item.decision.value for item in graph.obstacles} for graph in (one, two)]
     # In their order, which a set does not have
     for agent in (name for name in sides[0] if name in sides[1]):
         if sides[0][agent] != sides[1][agent]:
-            yield inf, partial(str, f"{agent}: {sides[0][agent]} -> {sides[1][agent]}")
-    yield from _curve(one.dp, two.dp, f"{value} of the DP", abscissa)
+            yield worded(f"{agent}: {sides[0][agent]} -> {sides[1][agent]}", agent)
+    yield from curve(one.dp, two.dp, f"{value} of the DP", abscissa)
     if one.corridor is not None and two.corridor is not None:
         for name in ("lower", "upper"):
             columns = [
                 np.column_stack([c.first, getattr(c, name)]) for c in (one.corridor, two.corridor)
             ]
-            yield from _curve(columns[0], columns[1], f"{name} bound", abscissa)
+            yield from curve(columns[0], columns[1], f"{name} bound", abscissa)
 
 
-def _outlines(one: Graph, two: Graph) -> _Found:
+AXES: dict[type[Graph], tuple[tuple[str, str], tuple[str, str]]] = {
+    SlGraph: (("station", "m"), ("lateral offset", "m")),
+    StGraph: (("time ahead", "s"), ("station", "m")),
+}
+"""Names and units of the axes of a graph."""
+
+
+def _outlines(one: Graph, two: Graph, members: _Members) -> Changes:
     """Differences of the obstacles of a graph, and of their outlines."""
     names = [tuple(item.agent for item in graph.obstacles) for graph in (one, two)]
     if names[0] != names[1]:
-        yield inf, partial(_words, "obstacles", names[0], names[1])
+        yield members.difference(names[0], names[1])
         return
+    axes = AXES[type(one)]
+    axis, unit = axes[0]
     for old, new in zip(one.obstacles, two.obstacles, strict=True):
         if old.outline.shape != new.outline.shape:
-            yield inf, partial(str, f"{old.agent} occupies the path at other times")
-        else:
-            labels = [f"outline of {old.agent}"] * old.outline.size
-            yield from _largest(old.outline.ravel(), new.outline.ravel(), labels.__getitem__, "")
+            spans = [_span(item.outline[:, 0]) for item in (old, new)]
+            yield worded(f"outline of {old.agent}: {axis} {' -> '.join(spans)} {unit}", old.agent)
+            continue
+        for column, (name, of_name) in enumerate(axes):
+            labels = [
+                f"outline of {old.agent}, corner at {axis} {x:.4g} {unit}: {name}"
+                for x in old.outline[:, 0]
+            ]
+            columns = old.outline[:, column], new.outline[:, column]
+            yield from largest(*columns, labels.__getitem__, of_name, [old.agent] * len(labels))
 
 
-def _decision_differences(one: Sequence[object], two: Sequence[object], stage: str) -> _Found:
+def _span(values: FloatArray) -> str:
+    return f"{values.min():.4g} to {values.max():.4g}" if len(values) else "none"
+
+
+def _decision_differences(one: Sequence[object], two: Sequence[object], stage: str) -> Changes:
     decided = [
         {
             item.agent: item.kind.value
@@ -418,10 +486,10 @@ def _decision_differences(one: Sequence[object], two: Sequence[object], stage: s
     for agent in dict.fromkeys([*decided[0], *decided[1]]):
         before, after = (side.get(agent, "no decision") for side in decided)
         if before != after:
-            yield inf, partial(str, f"{agent}: {before} -> {after}")
+            yield worded(f"{agent}: {before} -> {after}", agent)
 
 
-def _count_differences(one: Sequence[object], two: Sequence[object], stage: str) -> _Found:
+def _count_differences(one: Sequence[object], two: Sequence[object], stage: str) -> Changes:
     """Differences of the costs and the candidates of a stage, if both plans have them."""
     counts = []
     for side in (one, two):
@@ -435,110 +503,4 @@ def _count_differences(one: Sequence[object], two: Sequence[object], stage: str)
         counts.append(values)
     names = [name for name in counts[0] if name in counts[1]]
     columns = [np.array([side[name] for name in names], np.float64) for side in counts]
-    yield from _largest(columns[0], columns[1], names.__getitem__, "")
-
-
-# numbers and words --------------------------------------------------------------------------------
-
-
-def _sizes(one: FloatArray, two: FloatArray) -> FloatArray:
-    """Absolute differences `(n,)`; inf if only one value is a number."""
-    same: BoolArray = (one == two) | (np.isnan(one) & np.isnan(two))
-    with np.errstate(invalid="ignore"):
-        sizes = np.abs(two - one)
-    return np.where(same, 0.0, np.where(np.isnan(sizes), inf, sizes))
-
-
-def _largest(one: FloatArray, two: FloatArray, label_of: Callable[[int], str], unit: str) -> _Found:
-    if len(one) != len(two):
-        yield inf, partial(str, f"{len(one)} -> {len(two)} values")
-    elif len(one):
-        size = _sizes(one, two)
-        row = int(np.argmax(size))
-        if size[row] > FINE:
-            yield float(size[row]), lambda: _numbers(label_of(row), one[row], two[row], unit)
-
-
-def _curve(one: FloatArray, two: FloatArray, value: str, abscissa: str) -> _Found:
-    """Curves `(n, 2)` of a value, m, over a time or station, formatted by `at`: where both exist,
-    then their ends.
-    """
-    if not len(one) or not len(two):
-        if len(one) != len(two):
-            yield inf, partial(str, f"{value}: {'none' if len(two) == 0 else 'there now'}")
-        return
-    if one.shape == two.shape:
-        x, before, after = one[:, 0], one[:, 1], two[:, 1]
-    else:
-        x = one[(one[:, 0] >= two[0, 0]) & (one[:, 0] <= two[-1, 0]), 0]
-        before, after = (np.interp(x, *curve.T) for curve in (one, two))
-    differences = list(
-        _largest(
-            before, after, lambda i: f"{value} at {abscissa.format(float(f'{x[i]:.4g}'))}", "m"
-        )
-    )
-    yield from differences
-    if one.shape != two.shape and not any(size > TOLERANCE for size, _ in differences):
-        ends = " -> ".join(abscissa.format(float(f"{curve[-1, 0]:.4g}")) for curve in (one, two))
-        yield inf, partial(str, f"{value} ends at {ends}")
-
-
-def _numbers(quantity: str, one: float, two: float, unit: str) -> str:
-    """Both values with as many digits as show that they differ."""
-    size = abs(two - one)
-    digits = int(np.clip(1 - np.floor(log10(size)), 2, 9)) if 0.0 < size < inf else 2
-    return f"{quantity} {one:.{digits}f} -> {two:.{digits}f}{f' {unit}' if unit else ''}"
-
-
-def _words(noun: str, one: Sequence[str], two: Sequence[str]) -> str:
-    """The names that were added and removed."""
-    added, removed = ([name for name in a if name not in b] for a, b in ((two, one), (one, two)))
-    parts = [
-        f"{word} {', '.join(names[:3])}{' ...' if len(names) > 3 else ''}"
-        for word, names in (("no longer", removed), ("now also", added))
-        if names
-    ]
-    return f"{noun}: {'; '.join(parts) or 'in another order or number'}"
-
-
-PARTED_MPS, PARTED_M, AHEAD_S = 1.0, 0.5, 3.0
-LATERAL = (DecisionKind.NUDGE_LEFT, DecisionKind.NUDGE_RIGHT)
-
-
-def planners_part(one: Trace, two: Trace) -> FirstDifference | None:
-    """The first time at which two planners part (3), with the decision of each; None if they never
-    do.
-    """
-    for old, new in zip(one.frames, two.frames, strict=False):
-        t, states = old.t, []
-        for trace, frame in ((one, old), (two, new)):
-            planned = frame.plan.trajectory
-            t_ahead = min(frame.t + AHEAD_S, float(planned.t[-1]))
-            states.append(trace.ego.at(t) if trace.mode is Mode.CLOSED else planned.at(t_ahead))
-        first, second = states
-        across = (second.y - first.y) * np.cos(first.yaw) - (second.x - first.x) * np.sin(first.yaw)
-        if abs(first.v - second.v) > PARTED_MPS or abs(across) > PARTED_M:  # (3)
-            instant = (
-                f"t = {t:.2f} s" if one.mode is Mode.CLOSED else f"t = {t:.2f} s, in {AHEAD_S:g} s"
-            )
-            side = f", {abs(across):.1f} m to the {'left' if across > 0.0 else 'right'}"
-            before, after = (
-                f"{state.v:.1f} m/s ({decided(frame_of_side.plan)})"
-                for state, frame_of_side in zip(states, (old, new), strict=True)
-            )
-            sentence = f"{instant}: {before} -> {after}{side if abs(across) > PARTED_M else ''}"
-            return FirstDifference(t, "plan", ShortNames(one.agents.ids)(sentence))
-    return None
-
-
-def decided(plan: Plan) -> str:
-    """The strongest decision of a plan about the speed, else about the side, with its agent."""
-    decisions = [item for item in plan.internals if isinstance(item, Decision)]
-    for kind in (*LONGITUDINAL, *LATERAL):
-        agents = list(dict.fromkeys(item.agent for item in decisions if item.kind is kind))
-        if agents:
-            return (
-                f"{kind.value} "
-                f"{agents[0]}{f' and {len(agents) - 1} more' if len(agents) > 1 else ''}"
-            )
-    return plan.status.value if plan.status.is_fallback else "nothing decided"
+    yield from largest(columns[0], columns[1], names.__getitem__, "")

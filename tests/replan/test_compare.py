@@ -5,9 +5,11 @@ The command line; planted regressions.
 
 import json
 import re
+import shlex
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 
 import pandas as pd
@@ -17,6 +19,9 @@ from command_line import replan
 from replan.compare_runs import compare_runs, read_run, write_baseline
 from replan.config import RunConfig
 from replan.core.errors import ConfigError, LogError
+from replan.draw.report.comparison_sections import verdict_sentence
+from replan.draw.report.console import SafeConsole
+from replan.draw.report.terminal import print_comparison
 from replan.metrics.comparison import Comparison
 from replan.results.tables import write_parquet
 from replan.run import evaluate_logs
@@ -106,6 +111,57 @@ def test_a_missing_log_and_an_older_folder(runs: tuple[Path, Path], tmp_path: Pa
     )
     assert found.exit_code == 1 and found.verdicts[0].outcome.value == "fail"
     assert of(less, runs[0]).exit_code == 0
+
+
+@pytest.fixture(scope="module")
+def single(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A log, driven by a planner, and by the same one under another name."""
+    out = tmp_path_factory.mktemp("single")
+    assert replan("synth", LOGS[1], "-o", out / "logs").exit_code == 0
+    other = "replan.planners.constant_speed:ConstantSpeed"
+    for name, planner in (("before", "constant_speed"), ("after", other)):
+        evaluate_logs([out / "logs"], replace(CONFIG, planners=(planner,)), out / name)
+    return out / "before", out / "after"
+
+
+def test_two_planners_of_other_names_pair_if_each_run_has_one(single: tuple[Path, Path]) -> None:
+    found = of(*single)
+    assert set(found.pairs["planner"]) == {
+        "constant_speed -> replan.planners.constant_speed:ConstantSpeed"
+    }
+    assert (found.exit_code, found.only_in_baseline, found.unpaired) == (0, (), "")
+    assert found.equal_drives == 1 and found.not_looked_at == 0 and found.partings.empty
+    result = replan("compare", *single)
+    assert result.exit_code == 0
+    assert "1 of 1 drive are equal in bits" in result.stdout
+    assert "Not searched" not in result.stdout and "not searched" not in result.stdout
+
+
+def test_planners_of_other_names_are_paired_by_the_command_that_is_named(
+    runs: tuple[Path, Path], single: tuple[Path, Path]
+) -> None:
+    found = of(runs[0], single[1])
+    words = shlex.split(found.unpaired)
+    assert words[:4] == ["replan", "compare", str(runs[0]), str(single[1])]
+    assert found.exit_code == 1 and verdict_sentence(found).endswith(found.unpaired)
+    result = replan(*words[1:])
+    assert result.exit_code in (0, 1) and "no drive is in both runs" not in result.stdout
+
+
+@pytest.mark.parametrize("width", [80, 120])
+def test_a_comparison_begins_with_the_verdict_and_names_what_holds_once(
+    runs: tuple[Path, Path], width: int
+) -> None:
+    found, written = of(*runs), StringIO()
+    print_comparison(found, SafeConsole(file=written, width=width))
+    lines = [line.rstrip() for line in written.getvalue().splitlines()]
+    assert lines[1].startswith(("PASS: ", "FAIL: ", "INCONCLUSIVE: "))
+    assert lines[-1] == f"Comparison: {lines[1].partition(':')[0]} (exit code {found.exit_code})"
+    assert sum("hold" in line for line in lines) == 1 + lines[1].startswith("PASS")
+    assert max(map(len, lines)) <= width
+    text = " ".join(" ".join(lines).split())
+    stages = found.partings["stage"].value_counts()
+    assert len(stages) and all(f"{stage} in {count}" in text for stage, count in stages.items())
 
 
 def test_unreadable_runs_are_named(runs: tuple[Path, Path], tmp_path: Path) -> None:

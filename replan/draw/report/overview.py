@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from hashlib import sha256
-from math import nan
+from math import isfinite, nan
 from pathlib import Path
 from typing import Any
 
@@ -53,6 +53,7 @@ EXIT_WEIGHT = (2, 3, 1, 4, 0)
 """Exit codes by priority: several codes are combined into the first in this order (3 beats 1 beats
 4).
 """
+WORST = "worst"  # `over` of the gates that each log passes or fails by itself
 MOST_FIRST = 3  # Number of drives that a report shows first
 COUNTS = ("passed", "failed", "inconclusive", "missing")  # Columns of `pass_shares`
 NOISE = 1e-9  # Smaller values are shown as 0
@@ -115,6 +116,19 @@ class Overview:
     def replan(self) -> str:
         """Version of replan that ran the drives."""
         return str(self.results.summary["replan"])
+
+    @property
+    def verdict(self) -> str:
+        """The outcome in a sentence."""
+        if self.shard:
+            return f"{self.outcome.upper()}: a shard"
+        counts = Counter(gate.outcome for gate in self.gates)
+        failed, unclear = counts[Outcome.FAIL.value], counts[Outcome.INCONCLUSIVE.value]
+        lost = len(self.results.summary["failures"])
+        verdicts = f"{failed} of {counted(len(self.gates), 'verdict')} of gates fail"
+        verdicts += f", {unclear} are inconclusive" if unclear else ""
+        verdicts += f"; {counted(lost, 'failure')} to evaluate" if lost else ""
+        return f"{self.outcome.upper()}: {verdicts}"
 
     @property
     def shard(self) -> str:
@@ -236,6 +250,23 @@ def without_folders(results: Results) -> Callable[[str], str]:
         return str
     longest_first = sorted(folders, key=len, reverse=True)
     return partial(re.compile("|".join(map(re.escape, longest_first))).sub, "")
+
+
+def failure_lines(over: Overview) -> Iterator[tuple[tuple[str, str, str, str], str]]:
+    """Each gate that fails on a log: (gate, log, planner, loop), and a line with log, rule, value,
+    time and reason.
+    """
+    units = dict(zip(over.results.measured["metric"], over.results.measured["unit"], strict=True))
+    short = without_folders(over.results)
+    together = {gate.rule for gate in over.gates if gate.over != WORST}
+    failed = over.verdicts[over.verdicts["outcome"] == Outcome.FAIL.value]
+    for row in list[Any](failed[~failed["gate"].isin(together)].itertuples()):
+        value = f"{row.value:.4g}{unit_suffix(units.get(row.metric, ''))}"
+        time = f" at {row.time_s:.2f} s" if isfinite(row.time_s) else ""
+        reason = f": {row.reason}" if row.reason else ""
+        drive = f"{row.log} ({row.planner}, {row.mode} loop)"
+        line = f"{drive}: {row.gate}: {value}{time}{reason}"
+        yield (row.gate, row.log, row.planner, row.mode), short(line)
 
 
 def share_words(row: Any) -> str:

@@ -37,7 +37,7 @@ FRAGILE = "ensemble.fragile"  # Metric of a drive: its verdict changes under a p
 
 def run_sections(over: Overview) -> list[ReportSection]:
     """The sections of a run, in their order; those with nothing to say are left out."""
-    failures = _failures(over)
+    failures, notes = _failures(over), list(merged_notes(over.results.summary["logs"]))
     sections = [
         ReportSection(
             f"Could not be evaluated ({len(failures)})", lines=failures, rest="summary.json"
@@ -50,12 +50,7 @@ def run_sections(over: Overview) -> list[ReportSection]:
         ReportSection("Driven", lines=[*_coverage(over), *_interactions(over)], key="driven"),
         *_ensemble(over),
         ReportSection(BROKEN, lines=over.broken, most=12, rest="report.html"),
-        ReportSection(
-            "Notes",
-            lines=list(merged_notes(over.results.summary["logs"])),
-            most=12,
-            rest="summary.json",
-        ),
+        ReportSection(counted(len(notes), "note"), lines=notes, folded=True, rest="summary.json"),
         _latency(over),
     ]
     return with_contents(sections)
@@ -82,6 +77,10 @@ def _finding_cell(row: GateRow) -> Cell:
     return Cell(row.finding, drives=((row.log, row.planner),) if row.log else ())
 
 
+def _gate_line(row: GateRow) -> str:
+    return f"{row.outcome.upper()}: {_rule_cell(row).text}: {row.finding}"
+
+
 GATES = (
     ReportColumn("outcome", lambda row: outcome_cell(row.outcome)),
     ReportColumn("rule", _rule_cell),
@@ -97,7 +96,9 @@ def _gates(over: Overview) -> Iterator[ReportSection]:
     good = [row for row in over.gates if row.outcome == Outcome.PASS.value]
     bad = [row for row in over.gates if row.outcome != Outcome.PASS.value]
     fine = [] if bad else ["No gate fails, none is inconclusive."]
-    yield ReportSection("Gates", GATES, bad, remarks=fine, rest="report.html", key="gates")
+    yield ReportSection(
+        "Gates", GATES, bad, remarks=fine, rest="report.html", key="gates", as_line=_gate_line
+    )
     title = f"{counted(len(good), 'verdict')} of gates: pass"
     yield ReportSection(title, GATES, good, folded=True, most=6, rest="report.html")
     lines = _not_asked(over)
@@ -211,6 +212,7 @@ def _drives(over: Overview) -> ReportSection:
         columns,
         over.drives,
         remarks=legend(over.columns),
+        most=8,
         rest="metrics.csv",
         key="drives",
     )
@@ -370,4 +372,4 @@ def _latency(over: Overview) -> ReportSection:
             rows.append(StageTimes(str(planner), str(stage), p50_ms, p95_ms, p99_ms, share))
     frames = int((timings["stage"] == "total").sum())
     title = f"Planning time (wall clock, {counted(frames, 'plan')})"
-    return ReportSection(title, LATENCY, rows, folded=True)
+    return ReportSection(title, LATENCY, rows, folded=True, rest="timings.parquet")

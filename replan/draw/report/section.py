@@ -61,6 +61,8 @@ class ReportSection:
     folded: bool = False
     most: int = MOST_IN_TERMINAL  # Largest number of rows and of lines that a terminal shows
     rest: str = ""  # The file that has all rows
+    # A row in words, for a terminal, which is narrow; None: it shows a table
+    as_line: Callable[[Any], str] | None = None
     key: str = ""  # A name for links, and for what an output adds to the section
 
     @cached_property

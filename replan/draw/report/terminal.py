@@ -1,12 +1,13 @@
 """Reports for a terminal: ASCII only (no symbols that a terminal may lack); they fit 80 columns,
 and use more if there are more.
 
-The sections come in reverse, so that the answer stands last, where it is seen.
+The answer comes first, and its outcome once more as the last line.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import shlex
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from rich import box
@@ -15,19 +16,18 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from replan.core.names import counted
 from replan.draw.report.comparison_sections import (
     OUTCOMES,
     comparison_sections,
     first_regression,
     last_line,
+    verdict_sentence,
 )
 from replan.draw.report.overview import Overview
 from replan.draw.report.run_sections import run_sections
 from replan.draw.report.section import Cell, ReportSection
 from replan.metrics.comparison import Comparison
 from replan.metrics.judge.gates import Outcome
-from replan.metrics.judge.verdicts import DRIVE
 
 STYLES = {
     Outcome.PASS.value: "green",
@@ -35,8 +35,8 @@ STYLES = {
     Outcome.INCONCLUSIVE.value: "yellow",
 }
 WORDS = {Outcome.FAIL.value: "FAIL", Outcome.INCONCLUSIVE.value: "inconcl."}
-Watch = Callable[[str, str, str], str]
-"""Maps log, planner and mode to the command that shows the drive; "" if it is not available."""
+Watch = Callable[[str, str, str], Mapping[str, str]]
+"""Maps log, planner and mode to commands about the drive, by purpose."""
 WIDE = 8  # Tables of more columns have no space around their cells
 
 
@@ -44,7 +44,8 @@ def print_report(over: Overview, console: Console, folder: Path, *, ending: bool
     """Print the report on the results in a folder; `ending=False` leaves its last lines to
     `print_ending`.
     """
-    console.print(Group(*_rendered(run_sections(over))))
+    verdict = Text(over.verdict, style="bold green" if over.exit_code == 0 else "bold red")
+    console.print(Group(verdict, Text(), *_rendered(run_sections(over))))
     if ending:
         print_ending(over, console, folder)
 
@@ -59,6 +60,9 @@ def print_ending(over: Overview, console: Console, folder: Path, place: str = ""
     if over.drives and (recording := over.drives[0].recording):
         command = f"replan view {place}/{recording}", "bold"
         lines.append(Text.assemble("Look at a drive:  ", command))
+    for row in over.first[:1]:
+        why = shlex.join(["replan", "explain", place, row.log, "-p", row.planner])
+        lines.append(Text.assemble("Why:  ", (why, "bold")))
     words = f"Outcome: {over.outcome.upper()} (exit code {over.exit_code})"
     lines.append(Text(words, style="bold green" if over.exit_code == 0 else "bold red"))
     console.print(Group(*lines))
@@ -67,23 +71,20 @@ def print_ending(over: Overview, console: Console, folder: Path, place: str = ""
 def print_comparison(
     comparison: Comparison,
     console: Console,
-    watch: Watch = lambda log, planner, mode: "",
+    watch: Watch = lambda log, planner, mode: {},
     *,
     alone: bool = True,
 ) -> None:
     """Print the comparison; `alone`: with the exit code, which is then that of the command."""
-    worst, pairs = first_regression(comparison), comparison.pairs
-    command = watch(*worst) if worst is not None else ""
-    title = f"{comparison.baseline} -> {comparison.candidate}"
-    parts: list[RenderableType] = [Text(title, style="bold"), Text()]
-    parts += _rendered(comparison_sections(comparison))
-    if command:
-        parts.append(Text.assemble("Look at the worst regression:  ", (command, "bold")))
-    drives = counted(len(pairs[DRIVE].drop_duplicates()), "drive")
-    worse, better = int((pairs["worse"] > 0.0).sum()), int((pairs["worse"] < 0.0).sum())
-    values = f"{counted(len(pairs), 'value')}: {int((pairs['delta'] == 0.0).sum())} the same"
-    parts.append(Text(f"{drives}, {values}, {worse} worse, {better} better"))
+    worst = first_regression(comparison)
+    commands = watch(*worst) if worst is not None else {}
     style = STYLES[OUTCOMES[comparison.exit_code]]
+    title = f"{comparison.baseline} -> {comparison.candidate}"
+    parts: list[RenderableType] = [Text(title, style="bold")]
+    parts += [Text(verdict_sentence(comparison), style=style), Text()]
+    parts += _rendered(comparison_sections(comparison))
+    for purpose, command in commands.items():
+        parts.append(Text.assemble(f"{purpose}:  ", (command, "bold")))
     parts.append(Text(last_line(comparison, alone=alone), style=style))
     console.print(Group(*parts))
 
@@ -92,11 +93,17 @@ def _rendered(sections: Sequence[ReportSection]) -> Iterator[RenderableType]:
     """The sections as tables and lists, each with its title, the number of what is left out, and
     where that is.
     """
-    for section in reversed(sections):
+    folded = [f"{section.title} ({section.rest})" for section in sections if section.folded]
+    for section in sections:
+        if section.folded:
+            continue
         yield Text(section.title, style="bold underline")
-        if section.items:
+        lines = list(section.lines[: section.most])
+        if section.as_line is not None:
+            lines += map(section.as_line, section.items[: section.most])
+        elif section.items:
             yield _table(section)
-        for line in section.lines[: section.most]:
+        for line in lines:
             yield Padding(Text(line), (0, 0, 0, 2))
         rest = f": {section.rest}" if section.rest else ""
         for entries in (section.items, section.lines):
@@ -105,6 +112,8 @@ def _rendered(sections: Sequence[ReportSection]) -> Iterator[RenderableType]:
         for remark in section.remarks:
             yield Text(remark, style="dim")
         yield Text()
+    if folded:
+        yield Text(f"Not shown: {'; '.join(folded)}", style="dim")
 
 
 def _table(section: ReportSection) -> Table:

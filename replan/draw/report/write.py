@@ -34,7 +34,7 @@ from replan.core.errors import writing
 from replan.draw.report.attempts import Attempts
 from replan.draw.report.comparison_sections import comparison_sections
 from replan.draw.report.html import write_html
-from replan.draw.report.overview import Overview, without_folders
+from replan.draw.report.overview import WORST, Overview, failure_lines, without_folders
 from replan.draw.report.rendering import rendered
 from replan.draw.report.run_sections import run_sections
 from replan.draw.report.section import ReportSection
@@ -70,7 +70,6 @@ def write_reports(over: Overview, folder: Path) -> Overview:
 
 TAGS = {Outcome.FAIL.value: "failure", Outcome.INCONCLUSIVE.value: "skipped", "error": "error"}
 EVALUATED = "evaluated"
-WORST = "worst"
 
 
 @dataclass(frozen=True)
@@ -130,6 +129,7 @@ def _of_each_log(over: Overview, planner: str, mode: str) -> Iterator[JunitCase]
     verdicts = over.verdicts.query("planner == @planner and mode == @mode")
     is_single = ~verdicts["gate"].isin(together)
     verdicts = verdicts[is_single & (verdicts["outcome"] != Outcome.NOT_ASKED.value)]
+    lines = dict(failure_lines(over))
     by_log = dict(iter(verdicts.groupby("log", sort=False)))
     drives = results.drives.query("planner == @planner and mode == @mode")
     ends_s = dict(zip(drives["log"], drives["t_end_s"].astype(float), strict=True))
@@ -152,7 +152,8 @@ def _of_each_log(over: Overview, planner: str, mode: str) -> Iterator[JunitCase]
                 time = f" at {row.time_s:.2f} s" if isfinite(row.time_s) else ""
                 value = f"{row.value:.4g}{time}" if isfinite(row.value) else ""
                 reason = ": ".join(filter(None, (value, row.reason)))
-                yield JunitCase(classname, row.gate, row.outcome, reason)
+                line = lines.get((row.gate, log, planner, mode), reason)
+                yield JunitCase(classname, row.gate, row.outcome, line)
 
 
 # Markdown -----------------------------------------------------------------------------------------

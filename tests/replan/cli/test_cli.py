@@ -52,6 +52,14 @@ def test_an_option_of_one_value_is_not_given_twice(words: tuple[str, ...]) -> No
     assert "2 times" in refused.stderr
 
 
+@pytest.mark.parametrize("words", [("evaluate", "--logs", "a"), ("compare", "--runs=a")])
+def test_an_argument_that_is_given_as_an_option_is_named(words: tuple[str, ...]) -> None:
+    refused = replan(*words)
+    name = words[1].partition("=")[0]
+    assert refused.exit_code == 2
+    assert "by position" in refused.stderr and name[2:].upper() in refused.stderr
+
+
 def test_options_of_several_values_and_values_like_options_are_taken() -> None:
     assert (
         "2 times"
@@ -69,7 +77,7 @@ def test_version() -> None:
 @pytest.mark.parametrize(
     ("log", "rule", "code", "words"),
     [
-        ("free", "", 0, ["test/free", " goal ", "PASS", "p50 [ms]", "{out}", "exit code 0"]),
+        ("free", "", 0, ["test/free", " goal ", "PASS", "Planning time", "{out}", "exit code 0"]),
         ("blocked", "", 1, ["FAIL", "collision_at_fault.count", "wall", "exit code 1"]),
         ("free", 'metric = "gap.min"\nmin = 0.5', 4, ["INCONCLUSIVE"]),
     ],
@@ -404,8 +412,8 @@ def test_a_log_is_found_by_its_name_as_the_index_has_it(tmp_path: Path) -> None:
 def test_log_planner_and_mode_choose_the_same_drives_in_every_command(
     recorded: Path, tmp_path: Path
 ) -> None:
-    for words in (("--log", "test/free"), ("--log", "free"), ("--log", "test_free")):
-        drives = matching_drives(load(recorded), words[1], "constant_speed", "both")
+    for words in (("--log", "test/free"), ("--log", "free"), ("test_free",)):
+        drives = matching_drives(load(recorded), words[-1], "constant_speed", "both")
         assert sorted((drive.log, drive.mode) for drive in drives) == [
             ("test/free", "closed"),
             ("test/free", "open"),
@@ -425,6 +433,11 @@ def test_log_planner_and_mode_choose_the_same_drives_in_every_command(
         for word, value, known in (("--log", "fre_", "test/free"), ("-p", "idm", "constant_speed")):
             said = one_error(replan(command[0], recorded, *command[1:], word, value))
             assert value in said and known in said, command
+    for command in (("explain",), ("plot",), ("frame", "--at", 1)):
+        said = one_error(replan(command[0], recorded, "fre_", *command[1:]))
+        assert "fre_" in said and "test/free" in said, command
+        twice = replan(command[0], recorded, "free", *command[1:], "--log", "free")
+        assert twice.exit_code == 2 and "once" in one_error(twice)
     assert "--screenshot" in one_error(replan("view", recorded, "--at", 3))
     assert "is none" in one_error(
         replan("view", next(recorded.glob("test_free*")), "--mode", "open")

@@ -13,15 +13,9 @@ import pytest
 import sample_drive
 from hypothesis import given, settings, strategies as st
 
-from replan.explain.first_difference import (
-    AHEAD_S,
-    PARTED_M,
-    PARTED_MPS,
-    STAGES,
-    TOLERANCE,
-    first_difference,
-    planners_part,
-)
+from replan.explain.first_difference import AXES, STAGES, first_difference
+from replan.explain.planners_part import AHEAD_S, PARTED_M, PARTED_MPS, planners_part
+from replan.explain.value_changes import TOLERANCE
 from replan.logs.catalogue import scenario
 from replan.logs.frame import Predictions
 from replan.logs.plan import (
@@ -132,9 +126,14 @@ PLANTED: dict[str, tuple[str, Callable[[PlannedFrame], PlannedFrame], str]] = {
     "agents": (
         "input frame",
         lambda f: replace(f, agents=("car 12", "ped")),
-        "no longer truck 40; now also ped",
+        "agents: truck 40 ",
     ),
     "a prediction": ("prediction", _elsewhere, "y of truck 40 in 4 s 0.00 -> 0.40 m"),
+    "the start": (
+        "start of the plan",
+        _plan(v=lambda p: np.where(p.t == p.t[0], p.v + 0.5, p.v)),
+        "v ",
+    ),
     "the reference line": (
         "route",
         inside(SlGraph, lambda g: _corridor(g, first=g.corridor.first + 0.5)),
@@ -163,7 +162,7 @@ PLANTED: dict[str, tuple[str, Callable[[PlannedFrame], PlannedFrame], str]] = {
     "the graph": (
         "S-T graph",
         inside(StGraph, lambda g: replace(g, obstacles=())),
-        "no longer car 12",
+        "obstacles: car 12 ",
     ),
     "who goes first": ("speed DP", inside(StGraph, _overtaken), "car 12: follow -> overtake"),
     "a decision": ("speed DP", inside(Decision, _ignored), "car 12: follow -> ignore"),
@@ -209,6 +208,63 @@ def test_a_change_in_a_frame_is_its_first_difference(k: int, name: str, mode: Mo
     assert words in found.what and found.what.startswith(f"t = {found.t:.2f} s, {stage}: ")
     back = first_difference(other, trace)
     assert back is not None and (back.t, back.stage) == (found.t, found.stage)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, FRAMES - 2), st.integers(1, FRAMES), st.booleans())
+def test_an_obstacle_that_comes_late_is_not_called_gone(k: int, frames: int, swap: bool) -> None:
+    one = two = drive()
+    for row in range(k, min(k + frames, FRAMES)):
+        two = changed(two, row, PLANTED["the graph"][1])
+    found = first_difference(two, one) if swap else first_difference(one, two)
+    assert found is not None and found.agent == "car 12" and found.stage == "S-T graph"
+    later = drive().frames[k + frames].t if k + frames < FRAMES else None
+    word = "earlier" if swap else "later"
+    if later is None:
+        assert ("is new: in no" if swap else "is gone, now and in all later") in found.what
+    else:
+        assert f"comes {later - found.t:.2f} s {word} (t = {later:.2f} s)" in found.what
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.sampled_from([SlGraph, StGraph]), st.integers(0, 1), st.floats(0.01, 50.0), st.data())
+def test_an_outline_differs_in_a_number_with_axis_unit_and_point(
+    kind: type[Graph], column: int, by: float, data: Any
+) -> None:
+    k = next(
+        k
+        for k, frame in enumerate(drive().frames)
+        for item in frame.plan.internals
+        if isinstance(item, kind) and any(len(other.outline) for other in item.obstacles)
+    )
+    graph = next(item for item in drive().frames[k].plan.internals if isinstance(item, kind))
+    which = next(i for i, other in enumerate(graph.obstacles) if len(other.outline))
+    outline = graph.obstacles[which].outline
+    row = data.draw(st.integers(0, len(outline) - 1))
+    moved = replace(graph.obstacles[which], outline=raised(outline, row, column, by))
+    others = (*graph.obstacles[:which], moved, *graph.obstacles[which + 1 :])
+    two = changed(drive(), k, inside(kind, lambda item: replace(item, obstacles=others)))
+    found = first_difference(drive(), two)
+    (first_axis, first_unit), second = AXES[kind]
+    axis, unit = (first_axis, first_unit) if column == 0 else second
+    assert found is not None and found.agent == moved.agent
+    assert f"corner at {first_axis} {outline[row, 0]:.4g} {first_unit}: {axis} " in found.what
+    assert found.what.endswith(f" {unit}")
+
+
+@given(st.floats(0.01, 5.0), st.sampled_from(["x", "y", "v"]))
+@settings(max_examples=10, deadline=None)
+def test_another_start_of_the_plan_comes_before_what_was_planned_from_it(
+    by: float, name: str
+) -> None:
+    """All stages differ, as they do if the planner is given another own speed."""
+    two = drive()
+    for planted in ("the path", "the speed", "a decision", "room", "the graph"):
+        two = changed(two, 0, PLANTED[planted][1])
+    two = changed(two, 0, _plan(**{name: lambda p: getattr(p, name) + by}))
+    found = first_difference(drive(), two)
+    assert found is not None and (found.t, found.stage) == (0.0, "start of the plan")
+    assert found.what.startswith(f"t = 0.00 s, start of the plan: {name} ")
 
 
 @settings(max_examples=15, deadline=None)

@@ -26,10 +26,10 @@ from typer.testing import CliRunner
 
 from replan.cli import app
 from replan.config import RunConfig
-from replan.core.names import visible_name
+from replan.core.names import counted, visible_name
 from replan.draw.drawn_results import Results, load
 from replan.draw.report.console import SafeConsole, visible, wrapped
-from replan.draw.report.overview import MOST_FIRST, overview
+from replan.draw.report.overview import MOST_FIRST, failure_lines, merged_notes, overview
 from replan.draw.report.section import Cell, ReportColumn, ReportSection
 from replan.draw.report.terminal import print_report
 from replan.draw.report.write import (
@@ -120,7 +120,43 @@ def test_the_terminal_names_the_loop_of_each_verdict(results: Results, tmp_path:
     over, written = overview(results), StringIO()
     print_report(over, SafeConsole(file=written, width=400), tmp_path)
     assert {row.mode for row in over.gates} >= set(MODES)
-    assert all(f"{row.rule} [{row.mode}]" in written.getvalue() for row in over.gates if row.mode)
+    bad = [row for row in over.gates if row.mode and row.outcome != "pass"]
+    assert bad and all(f"{row.rule} [{row.mode}]" in written.getvalue() for row in bad)
+
+
+def test_the_terminal_begins_with_the_verdict_and_ends_with_the_outcome(
+    results: Results, tmp_path: Path
+) -> None:
+    over, written = overview(results), StringIO()
+    print_report(over, SafeConsole(file=written, width=80), tmp_path)
+    lines = [line.rstrip() for line in written.getvalue().splitlines()]
+    assert lines[0].startswith(f"{over.outcome.upper()}: ")
+    assert lines[-1] == f"Outcome: {over.outcome.upper()} (exit code {over.exit_code})"
+    titles = [lines.index(title) for title in ("Gates", "Logs that pass", "Drives")]
+    assert titles == sorted(titles)
+    text = " ".join(" ".join(lines).split())
+    notes = list(merged_notes(results.summary["logs"]))
+    assert f"{counted(len(notes), 'note')} (summary.json)" in text or not notes
+    assert "p50" not in text and not any(note in text for note in notes)
+
+
+def test_each_failure_has_a_line_with_log_loop_rule_value_and_reason(results: Results) -> None:
+    lines = dict(failure_lines(overview(results)))
+    assert lines
+    verdicts = results.verdicts.set_index(["gate", "log", "planner", "mode"])
+    short = {str(log) for log in results.labels}
+    for (gate, log, planner, mode), line in lines.items():
+        row = verdicts.loc[(gate, log, planner, mode)]
+        assert log in short and line.startswith(f"{log} ({planner}, {mode} loop): {gate}: ")
+        assert f"{row['value']:.4g}" in line and str(row["reason"] or "") in line
+    suites = parsed(results)
+    messages = {
+        case.result[0].message
+        for suite in suites.values()
+        for case in suite
+        if case.result and isinstance(case.result[0], Failure)
+    }
+    assert {visible_name(line) for line in lines.values()} <= {visible_name(m) for m in messages}
 
 
 def test_junit_counts_equal_the_tables(results: Results) -> None:

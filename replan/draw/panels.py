@@ -18,7 +18,7 @@ from replan.draw.spans import Span, widened
 from replan.logs.frame_store import loaded
 from replan.logs.road import RoadSource
 from replan.logs.scenario import Scenario
-from replan.logs.states import Controls
+from replan.logs.states import Controls, Trajectory
 from replan.logs.trace import Mode, Trace
 from replan.metrics.comfort import lon_jerk_state
 from replan.replay.vehicle.tyres import tyre_use
@@ -163,12 +163,15 @@ MEASURED = (
 """The metrics of which panels show the steps; a run hands a recording the steps of these alone."""
 
 
-def panels(trace: Trace, scenario: Scenario, steps: Steps) -> list[Panel]:
+def panels(
+    trace: Trace, scenario: Scenario, steps: Steps, log: Trajectory | None = None
+) -> list[Panel]:
     """The panels of a drive or a log: all that have a finite value.
 
     Open loop: each plan is one step. What plans asked for is drawn if the trace has all plans;
     otherwise the speed of the plan in force of a closed loop is the ego's minus the tracking error.
-    The log is drawn unless its ego is that of the drive, as in the scenario of a trace file.
+    `log` is the log's drive, by default the scenario's: it is drawn unless it is the drive, as in
+    the scenario of a trace file.
     """
 
     def measured(
@@ -188,7 +191,7 @@ def panels(trace: Trace, scenario: Scenario, steps: Steps) -> list[Panel]:
     ego, actuation, asked = trace.ego, trace.actuation, trace.commands
     errors, logged = trace.tracking, scenario.controls
     end, is_open = float(ego.t[-1]), trace.mode is Mode.OPEN
-    log = None if is_open else scenario.ego.between(-np.inf, end)
+    log = None if is_open else (log or scenario.ego).between(-np.inf, end)
     log = log if log is not None and len(log) > 1 and not np.array_equal(log.v, ego.v) else None
     if log is None and actuation is not None:
         logged = None

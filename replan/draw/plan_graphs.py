@@ -109,7 +109,8 @@ def graph_axes(graphs: Sequence[DrawnGraph], kind: GraphKind) -> tuple[Span, Spa
     """Axes for some graphs, x relative to the begin of each: with all solutions and the near ends
     of obstacles.
 
-    They may cut off far obstacles and bounds of the corridor. None if there is neither solution nor
+    They may cut off bounds of the corridor, and obstacles that are farther than the solutions are
+    long. None if there is neither solution nor
     obstacle.
     """
     solutions, outlines = list[FloatArray](), list[FloatArray]()
@@ -121,6 +122,9 @@ def graph_axes(graphs: Sequence[DrawnGraph], kind: GraphKind) -> tuple[Span, Spa
         return None
     points = np.concatenate(solutions or outlines)
     right = max(float(points[:, 0].max()), 1.0)
+    if kind is SL:
+        begins = [float(outline[:, 0].min()) + FAR_M for outline in outlines]
+        right = max([right, *(x for x in begins if x < 2.0 * right)])
     low, high = float(points[:, 1].min()), float(points[:, 1].max())
     ordinates = [y[(x >= 0.0) & (x <= right)] for x, y in (outline.T for outline in outlines)]
     if kind is ST:

@@ -67,9 +67,12 @@ def scene(subject: SceneSubject, t: float, word: str, about: Collection[str] = (
         for drive in drives.values()
     ]
     ego, several = states[0], len(drives) > 1
-    view = BirdView(_plane(ego, states), ego)
     planned = abs(t - subject.moment.t) < 1e-9
     agents = subject.trace.agents.truth(t)
+    named_agents = subject.named_agents.union(about) if planned else about
+    is_named = np.array([name in named_agents for name in agents.ids], np.bool_)
+    named_places = np.column_stack([agents.x, agents.y])[is_named]
+    view = BirdView(_plane(ego, states, named_places), ego)
     paths, boxes = "", ""
     for drive, state, kind in zip(drives.values(), states, DRIVES, strict=False):
         path = _path(view, drive, kind if several else "planned", planned=planned)
@@ -132,11 +135,12 @@ def _local(ego: EgoState, points: FloatArray) -> FloatArray:
     return (np.asarray(points, np.float64).reshape(-1, 2) - [ego.x, ego.y]) @ turn
 
 
-def _plane(ego: EgoState, shown: Sequence[EgoState]) -> Plane:
-    """The visible part: around and ahead of the ego, and around other egos that are nearer than
-    `FAR_M`.
+def _plane(ego: EgoState, shown: Sequence[EgoState], agents: FloatArray) -> Plane:
+    """The visible part: around and ahead of the ego, and around other egos and agents `(n, 2)` that
+    are nearer than `FAR_M`.
     """
-    others = _local(ego, np.array([(state.x, state.y) for state in shown]))
+    egos = np.array([(state.x, state.y) for state in shown])
+    others = _local(ego, np.concatenate([egos, agents]))
     others = others[np.hypot(others[:, 0], others[:, 1]) < FAR_M]
     ahead = min(max(AHEAD_M, AHEAD_S * abs(ego.v)), MOST_M)
     low = min(-BEHIND_M, others[:, 0].min() - AROUND_M)

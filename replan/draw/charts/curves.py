@@ -66,7 +66,7 @@ def curves(subject: Subject) -> list[Chart]:
 def _charted_panels(drive: Subject) -> list[Panel]:
     # The trace has one plan only
     trace = replace(drive.trace, frames=())
-    of_drive = panels(trace, drive.scenario, drive.drive.steps)
+    of_drive = panels(trace, drive.scenario, drive.drive.steps, drive.logged)
     return [panel for panel in of_drive if panel.charted]
 
 

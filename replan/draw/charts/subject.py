@@ -17,11 +17,13 @@ from typing import Any
 import numpy as np
 
 from replan.core.errors import ConfigError
+from replan.draw.drawn_scene import decided
 from replan.explain import Explanation, accounts
-from replan.logs.mcap import read_moment
-from replan.logs.plan import PlanSummary
+from replan.logs.mcap import read_moment, read_scenario
+from replan.logs.plan import DecisionKind, PlanSummary
 from replan.logs.scenario import Scenario
-from replan.logs.trace import PlannedFrame, Trace
+from replan.logs.states import Trajectory
+from replan.logs.trace import Mode, PlannedFrame, Trace
 from replan.metrics import GROUPS, METRICS
 from replan.metrics.judge.gates import Outcome
 from replan.results.load import StoredDrive
@@ -51,6 +53,7 @@ class Moment:
 
     t: float
     why: str
+    about: str = ""  # What the reason is about ("car 12"); "" if it is not known
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +77,8 @@ def worst_moment(drive: StoredDrive) -> Moment:
     if rows:
         worst = min(rows, key=lambda row: gravity(row.metric))
         about = f" ({worst.reason})" if worst.reason else ""
-        return Moment(float(worst.time_s), f"{worst.gate} fails: {worst.value:.4g}{about}")
+        why = f"{worst.gate} fails: {worst.value:.4g}{about}"
+        return Moment(float(worst.time_s), why, str(worst.reason or ""))
     failure = "a gate fails, at no instant; " if len(failed) else "no gate of this loop fails; "
     timed = {
         row.metric: row
@@ -85,9 +89,8 @@ def worst_moment(drive: StoredDrive) -> Moment:
         if name in timed:
             near = timed[name]
             about = f" ({near.reason})" if near.reason else ""
-            return Moment(
-                float(near.time_s), f"{failure}{words}: {near.value:.3g} {near.unit}{about}"
-            )
+            why = f"{failure}{words}: {near.value:.3g} {near.unit}{about}"
+            return Moment(float(near.time_s), why, str(near.reason or ""))
     middle = 0.5 * float(drive.info["t_end_s"])
     return Moment(middle, f"{failure}no distance to others was measured: the middle of the drive")
 
@@ -152,6 +155,20 @@ class SceneSubject:
         return {"": self}
 
     @property
+    def named_agents(self) -> frozenset[str]:
+        """The agents that the reason of the moment is about, and those with a decision."""
+        agents, short = self.trace.agents.truth(self.moment.t), self.scenario.short_names
+        words = {
+            name: f"{kind.value} {short(name)}"
+            for name, kind in zip(agents.ids, agents.kinds, strict=True)
+        }
+        about = f"{self.moment.about}:"
+        named = {name for name, word in words.items() if about.startswith(f"{word}:")}
+        decisions = {} if self.frame is None else decided(self.frame.plan)
+        ignored = DecisionKind.IGNORE
+        return frozenset(named | {name for name, x in decisions.items() if x.kind is not ignored})
+
+    @property
     def frame(self) -> PlannedFrame | None:
         """The newest plan at the moment; None if there is no plan yet."""
         return self.trace.frames[0] if self.trace.frames else None
@@ -197,6 +214,18 @@ class Subject(SceneSubject):
         return f"at {self.moment.t:.2f} s" + (
             "" if self.moment.why == ASKED else f": {self.moment.why}"
         )
+
+    @cached_property
+    def logged(self) -> Trajectory | None:
+        """The log's own drive, which the traces of the open loop have; None without one."""
+        run = self.drive.result
+        is_open = (run.drives["log"] == self.drive.log) & (run.drives["mode"] == Mode.OPEN.value)
+        files = (
+            StoredDrive(run, self.drive.log, planner, Mode.OPEN.value).trace_file
+            for planner in run.drives.loc[is_open, "planner"]
+        )
+        trace = next((file for file in files if file.is_file()), None)
+        return None if trace is None else read_scenario(trace).ego
 
     @cached_property
     def violations(self) -> list[Violation]:

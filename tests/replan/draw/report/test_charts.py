@@ -22,6 +22,7 @@ from replan.cli import app
 from replan.config import RunConfig
 from replan.core.errors import ConfigError
 from replan.draw.charts import Chart, curves, decisions, scenes, sl_graph, st_graph, subject
+from replan.draw.charts.bird_view import BirdView, _plane
 from replan.draw.charts.canvas import (
     DARK,
     KEPT_PX,
@@ -43,6 +44,7 @@ from replan.draw.spans import ticks
 from replan.explain.drive_events import events
 from replan.logs.mcap import read_moment, read_trace
 from replan.logs.plan import Decision, DecisionKind, LaneOption, PlanStatus, PlanSummary
+from replan.logs.states import EgoState
 from replan.run import evaluate_logs
 
 LOG = "paper/crossing_pedestrian"
@@ -493,3 +495,42 @@ def test_plot_draws_several_planners_and_so_does_the_drive(run: Results, tmp_pat
     ]
     refused = replan("plot", run.path, "-p", "dp_qp", "-p", "idm")
     assert refused.exit_code == 2 and "no closed loop of idm" in refused.stderr
+
+
+@given(
+    st.floats(-np.pi, np.pi),
+    st.floats(0.0, 30.0),
+    st.lists(st.tuples(st.floats(-55.0, 55.0), st.floats(-55.0, 55.0)), max_size=4),
+)
+def test_a_scene_reaches_to_the_agents_that_its_sentence_names(
+    yaw: float, speed: float, places: list[tuple[float, float]]
+) -> None:
+    ego = EgoState(0.0, 5.0, -7.0, yaw, speed, 0.0, 0.0)
+    points = np.array(places).reshape(-1, 2) + np.array([ego.x, ego.y])
+    view = BirdView(_plane(ego, [ego], points), ego)
+    wide, high = view.plane.inner
+    for x, y in view.of(points).tolist():
+        assert 0.0 <= x <= wide and 0.0 <= y <= high
+
+
+def test_the_agent_of_the_failed_gate_is_named_though_no_plan_decides_about_it(
+    run: Results,
+) -> None:
+    drawn = subject(run.drive(LOG, "constant_speed"))
+    assert not drawn.frame or not drawn.frame.plan.internals
+    assert drawn.moment.about.startswith("pedestrian pedestrian: ")
+    assert drawn.named_agents == {"pedestrian"}
+    assert (
+        replace(drawn, moment=replace(drawn.moment, about="pedestrian ped")).named_agents == set()
+    )
+
+
+def test_curves_of_a_closed_loop_have_those_of_the_log(tmp_path: Path) -> None:
+    config = RunConfig(planners=("constant_speed",), recording=False)
+    both = evaluate_logs((), config, tmp_path / "run", suite=LOG)
+    closed, open_loop = (subject(both.drive(LOG, mode=mode)) for mode in ("closed", "open"))
+    assert closed.logged is not None
+    np.testing.assert_array_equal(closed.logged.v, open_loop.trace.ego.v)
+    speed = next(chart for chart in curves(closed) if chart.name == "speed")
+    assert "log " in speed.says
+    assert "log " not in next(chart for chart in curves(open_loop) if chart.name == "speed").says

@@ -32,7 +32,8 @@ from replan.logs.observed import Spans, inferred
 from replan.logs.readers.base import Reader
 from replan.logs.readers.commonroad.document import parse
 from replan.logs.readers.commonroad.document_records import Document, Obstacle, PlanningProblem
-from replan.logs.readers.commonroad.lanelets import lights_of, road_of, with_rules
+from replan.logs.readers.commonroad.lanelet_stop_lines import lights_of
+from replan.logs.readers.commonroad.lanelets import road_of, with_rules
 from replan.logs.readers.commonroad.tracks import (
     ego_log,
     sized,
@@ -191,7 +192,7 @@ def _scenario(document: Document, chosen: _Ego) -> Scenario:
     driven_before = driven_before[np.isfinite(driven_before).all(axis=1)]
     tracks = tracks_of(document, velocity, without, start, origin)
     road, assumed = road_of(document, origin, driven_before, chosen.problem)
-    road, heads, ruled = with_rules(document, road, origin)
+    road, chains, ruled = with_rules(document, road, origin)
     driven, how = _drive(chosen, obstacle, document.dt, vehicle, origin)
     goal, unknown = _goal(chosen.problem, road, start, document.dt, origin)
     if goal is None and len(driven) > 1:
@@ -237,7 +238,7 @@ def _scenario(document: Document, chosen: _Ego) -> Scenario:
         start_ns=round(start * document.dt * 1e9),
         metadata=metadata,
         notes=tuple(notes),
-        lights=lights_of(document, heads, start, duration),
+        lights=lights_of(document, chains, start, duration),
         traffic=traffic,
     )
 

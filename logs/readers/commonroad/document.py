@@ -18,6 +18,9 @@ from replan.core.arrays import FloatArray, frozen
 from replan.core.errors import LogError, in_file
 from replan.core.files import read_xml
 from replan.logs.readers.commonroad.document_records import (
+    PRIORITY_SIGNS,
+    STOP_SIGNS,
+    YIELD_SIGNS,
     Document,
     GoalState,
     Incoming,
@@ -66,11 +69,7 @@ DIRECTIONS = {
 }
 DIRECTIONS |= {turn: (turn,) for turn in TURNS}
 MAX_SPEED_SIGNS = ("274", "274.1", "R2-1", "r301")
-STOP_SIGNS = frozenset({"206", "R1-1"})
-YIELD_SIGNS = frozenset({"205", "R1-2"})
-PRIORITY_SIGNS = frozenset({"301", "306"})
 READ_SIGNS = STOP_SIGNS | YIELD_SIGNS | PRIORITY_SIGNS
-"""Signs of Germany (and of the format's no-man's-land) and of the USA for priority."""
 
 
 def parse(path: Path) -> Document:

@@ -9,13 +9,18 @@ A light repeats its cycle for ever, its first element beginning at step `offset`
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from itertools import accumulate
 from typing import NamedTuple
 
 from replan.core.arrays import FloatArray
 from replan.logs.rules import Colour
+
+STOP_SIGNS = frozenset({"206", "R1-1"})
+YIELD_SIGNS = frozenset({"205", "R1-2"})
+PRIORITY_SIGNS = frozenset({"301", "306"})
+"""Signs of Germany (and of the format's no-man's-land) and of the USA for priority."""
 
 
 @dataclass(frozen=True)
@@ -106,8 +111,14 @@ class Lanelet:
     users: tuple[str, ...]
     speed: float
     stop: Stop | None  # its stop line, or None
-    lights: tuple[int, ...]  # traffic lights that it names itself; `signs` likewise
-    signs: tuple[int, ...]
+    lights: tuple[int, ...]  # traffic lights that it names itself
+    signs: tuple[int, ...]  # traffic signs that it names itself
+
+    @property
+    def lights_here(self) -> tuple[int, ...]:
+        """Traffic lights that its stop line or the lanelet itself names."""
+        at_stop = self.stop.lights if self.stop else ()
+        return tuple(dict.fromkeys((*at_stop, *self.lights)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,3 +189,9 @@ class Document:
         no-man's-land.
         """
         return self.benchmark.removeprefix("C-")[:3]
+
+    def sign_kinds(self, lanelet: Lanelet, without: Collection[int] = ()) -> set[str]:
+        """Kinds of the signs that a lanelet or its stop line names, `without` some of them."""
+        at_stop = lanelet.stop.signs if lanelet.stop else ()
+        names = {*lanelet.signs, *at_stop}.difference(without)
+        return {kind for name in names for kind in self.signs.get(name, ())}

@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 from replan.core.errors import LogError
 from replan.logs.readers.commonroad import read_commonroad
 from replan.logs.readers.commonroad.document import COLOURS
-from replan.logs.readers.commonroad.lanelets import meet
+from replan.logs.readers.commonroad.lanelet_priority import meet
 from replan.logs.rules import Colour, StopLine
 from replan.logs.scenario import Scenario
 

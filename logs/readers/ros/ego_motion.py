@@ -19,7 +19,7 @@ from replan.logs.readers.ros.ego import LEAST_POSES, EgoLog
 from replan.logs.readers.ros.fits import rates
 from replan.logs.readers.ros.frames import HELD, times_of
 from replan.logs.readers.ros.part import BagPart
-from replan.logs.readers.ros.schemas import STAMP, twist_fields
+from replan.logs.readers.ros.schemas import ACCELERATIONS, SPEEDS, STAMP, twist_fields
 from replan.logs.readers.ros.transforms import MAP_NAMES, moved, own_frames
 
 COVERS_S = 0.5
@@ -103,6 +103,17 @@ def at_poses(measured: Signal | None, t: IntArray, word: str, notes: list[str]) 
         return unknown
     notes.append(f"The ego's {word} is that of {measured.topic}.")
     return measured.values[before]
+
+
+def logged_motion(part: BagPart, ego: EgoLog) -> tuple[FloatArray, FloatArray]:
+    """Speed and acceleration at the poses `(n,)` as far as they are logged; else NaN."""
+    v, notes = ego.v, part.notes
+    if np.isfinite(v).all() and "speed" not in part.settings.topics:
+        notes.append(f"The ego's speed is that of {ego.source}.")
+    else:
+        v = at_poses(signal(part, SPEEDS, "speed", ego), ego.poses.t, "speed", notes)
+    measured = signal(part, ACCELERATIONS, "acceleration", ego)
+    return v, at_poses(measured, ego.poses.t, "acceleration", notes)
 
 
 def states(ego: EgoLog, v: FloatArray, a: FloatArray, notes: list[str]) -> dict[str, FloatArray]:

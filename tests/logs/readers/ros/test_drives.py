@@ -82,10 +82,10 @@ def test_a_drive_is_chosen_where_the_clock_restarts(
     path = bags.write_ros2(tmp_path / "bag", rows)
     topic = "/localization/kinematic_state" if by == "odometry" else "/tf"
     with pytest.raises(
-        LogError, match=rf"clock of {topic} restarts at 6\.0 s of the bag: two drives.*--from/--to"
+        LogError, match=rf"clock of {topic} restarts at 6\.0 s of the bag: 2 drives.*--from/--to"
     ):
         read_log(path)
-    with pytest.raises(LogError, match="two drives"):
+    with pytest.raises(LogError, match="2 drives"):
         read_log(path, LogSettings(begin=2.0, end=8.0))
     for settings, length, east, group in (
         (LogSettings(end=6.0), first, 0.0, 1),
@@ -102,7 +102,7 @@ def test_a_drive_is_chosen_where_the_clock_restarts(
             ego_pose(0.0)[0] + 30.0 + 6.0 * t, abs=1e-6
         )
         assert not any("stale" in note for note in scenario.notes)
-        assert sum("two drives" in note for note in scenario.notes) == 1
+        assert sum("2 drives" in note for note in scenario.notes) == 1
     part = read_log(path, LogSettings(begin=7.0, end=8.5))
     check_drive(part, (43.0, 0.0))
     assert (part.start_ns, part.duration) == (
@@ -118,7 +118,7 @@ def test_by_log_time_the_drives_are_joined_as_asked(tmp_path: Path) -> None:
     )
     scenario = read_log(path, LogSettings(clock="log"))
     assert scenario.duration == pytest.approx(9.0, abs=0.02)
-    assert sum("two drives" in note for note in scenario.notes) == 1
+    assert sum("2 drives" in note for note in scenario.notes) == 1
     part = read_log(path, LogSettings(clock="log", begin=6.5, end=8.5))
     assert part.ego.x[0] + part.origin[0] == pytest.approx(ego_pose(0.5)[0], abs=0.05)
 
@@ -127,7 +127,7 @@ def test_a_bag_that_was_played_in_a_loop(tmp_path: Path) -> None:
     rows = [row for k in range(4) for row in bags.later(drive("odometry", 3.0, 1), 3.02 * k, 0.0)]
     path = bags.write_ros2(tmp_path / "bag", rows, sqlite=True)
     with pytest.raises(
-        LogError, match=r"restarts at 3\.0 s, 6\.0 s, 9\.1 s of the bag: four drives"
+        LogError, match=r"restarts at 3\.0 s, 6\.0 s, 9\.1 s of the bag: 4 drives"
     ):
         read_log(path)
     for k in range(4):

@@ -438,6 +438,15 @@ def frame(
         str | None,
         option(None, "Plan the frame with this planner instead.", "--with", complete="planner"),
     ] = None,
+    change: Annotated[
+        list[str] | None,
+        option(
+            None,
+            'Change the input, repeatable: "delay agents 11" (docs/experiments.md).',
+            "--change",
+            metavar="TEXT",
+        ),
+    ] = None,
     dump: Annotated[
         Path | None, opt.output("Write frames, plan and QPs to FILE.msgpack.", "--dump")
     ] = None,
@@ -452,14 +461,16 @@ def frame(
 
       replan frame results/run-001 --at 6.5 --dump frame.msgpack
       replan frame results/run-001 --at 6.5 --with idm
+      replan frame results/run-001 --at 6.5 --change "delay agents 11" --with dp_qp
     """
     from contextlib import nullcontext
 
     from replan.draw.drawn_results import load
+    from replan.explain.input_changes import parse
     from replan.run.claim import claimed_file
     from replan.run.frame_dump import dump as write_dump, replan_frame, report_of
 
-    results = load(result)
+    results, changes = load(result), list(map(parse, change or ()))
     if planner is not None and planner not in (driven := set(results.drives["planner"])):
         raise ConfigError(
             f"no drive of '{planner}' in the run ({', '.join(sorted(driven))}); to plan with it: "
@@ -467,7 +478,7 @@ def frame(
         )
     chosen = chosen_drive(results, opt.only_log(log_name, log), planner, mode)
     with nullcontext() if dump is None else claimed_file(dump, (".msgpack",)):
-        again = replan_frame(chosen.drive, at, other, debug=debug)
+        again = replan_frame(chosen.drive, at, other, changes, debug=debug)
         say(f"{chosen.drive.title}{chosen.remark}")
         for line in report_of(again):
             say(line)

@@ -4,8 +4,9 @@ causes of failures.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,6 +14,9 @@ from replan.cli import options as opt
 from replan.cli.app import app, progress_lines, say, say_json, say_sentences, worker_count
 from replan.cli.options import JUDGE, LOGS, LOOP, RUNNING, log_table, option, run_config
 from replan.core.errors import ConfigError
+
+if TYPE_CHECKING:
+    from replan.draw.drawn_results import Results
 
 SHOWN = 20  # Largest number of trials of a Pareto front that are printed; pareto.csv has all
 FALSIFY_CODES = (
@@ -258,6 +262,14 @@ def diagnose(
             metavar="FILE",
         ),
     ] = None,
+    against: Annotated[
+        Path | None,
+        option(
+            LOOP,
+            "A run that does better: which change of its input makes its planner plan the same.",
+            metavar="BASELINE",
+        ),
+    ] = None,
     out: opt.Out = None,
     resume: opt.Resume = False,
     workers: opt.Workers = None,
@@ -265,19 +277,23 @@ def diagnose(
     quiet: opt.Quiet = False,
 ) -> None:
     """Find out why drives fail: drive them again with one thing changed, and see what turns FAIL
-    into PASS.
+    into PASS; or, against another run, what the planner acts on.
 
     [bold]Examples[/bold]
 
       replan diagnose results/run-001 -o results/diagnosed
       replan diagnose results/run-001 --log everyday/cut_in --planner idm
       replan diagnose results/run-001 --space space.toml
+      replan diagnose results/run-002 --against results/run-001
     """
     from replan.draw.drawn_results import load
     from replan.experiments.changes import load_changes
     from replan.experiments.diagnose import diagnose as diagnosed, question
     from replan.experiments.space import load_space
 
+    if against is not None:
+        _attribute(load(run), load(against), planner, log or (), as_json=as_json, quiet=quiet)
+        return
     drives = question(load(run), planner, log or (), load_changes(changes))
     settings = () if space is None else load_space(space, drives.run)
     count, say_progress = worker_count(workers), progress_lines(quiet=quiet)
@@ -288,3 +304,25 @@ def diagnose(
         say_sentences([*result.lines(), f"written to {result.out}"])
     if result.exit_code:
         raise typer.Exit(result.exit_code)
+
+
+def _attribute(
+    run: Results,
+    baseline: Results,
+    planner: str | None,
+    logs: Sequence[str],
+    *,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Say why the planners of two runs drive differently."""
+    from replan.experiments.attribution import Pair, attribute
+    from replan.results.load import named_logs
+
+    pair = Pair.of(run, baseline, planner)
+    names = dict.fromkeys(name for text in logs for name in named_logs(text, run.logs["log"]))
+    result = attribute(pair, tuple(names), progress_lines(quiet=quiet))
+    if as_json:
+        say_json(result.document())
+    else:
+        say_sentences(result.lines())

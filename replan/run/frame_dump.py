@@ -17,7 +17,7 @@ QPs.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf
 from pathlib import Path
@@ -26,17 +26,19 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from replan.config import RunConfig
 from replan.core.errors import ConfigError, LogError, PlannerError, ReplanError, of_users, raised
 from replan.core.names import counted
 from replan.draw.drawn_results import DriveResult
 from replan.explain.causes import Explainer
 from replan.explain.explanation import Explanation, lines_of
+from replan.explain.input_changes import InputChange, changed, changed_context
 from replan.explain.planner_input import PlannerInput
 from replan.logs.codec import WIRE, packed
 from replan.logs.frame import Frame, PlannerContext
 from replan.logs.plan import Plan, SolverReport
 from replan.logs.scenario import Scenario
-from replan.logs.trace import PlannedFrame
+from replan.logs.trace import Mode, PlannedFrame
 from replan.planners.piecewise_jerk.problem import PiecewiseJerkProblem, Weights
 from replan.planners.piecewise_jerk.solvers import SolvedProblem, record_problems
 from replan.planners.solver import QPResult
@@ -221,14 +223,20 @@ class ReplannedFrame:
 
 
 def replan_frame(
-    drive: DriveResult, at: float, planner: str | None = None, *, debug: bool = False
+    drive: DriveResult,
+    at: float,
+    planner: str | None = None,
+    changes: Sequence[InputChange] = (),
+    *,
+    debug: bool = False,
 ) -> ReplannedFrame:
     """Drive up to a frame as the run did, in this process, and plan it again.
 
     `at`: time, s; the last frame that is not later is planned again. `planner`: another planner,
-    which gets this frame only; None: the drive's own. `debug`: open the debugger before the frame
-    is planned. ConfigError if there is no such frame, the log was moved or changed, or the planner
-    is a program or an oracle; PlannerError if the planner raised.
+    which gets this frame only; None: the drive's own. `changes`: changes of the input; the planner
+    then gets all frames up to this one, so changed. `debug`: open the debugger before the frame is
+    planned. ConfigError if there is no such frame, the log was moved or changed, or the planner is
+    a program or an oracle; PlannerError if the planner raised.
     """
     run, recorded = drive.result.run, drive.frame(at)
     for spec in (drive.planner, planner or drive.planner):
@@ -237,15 +245,18 @@ def replan_frame(
                 f"planner '{spec}': only Python planners that are not oracles can plan a frame "
                 "again"
             )
-    row = drive.result.logs.set_index("log").loc[drive.log].to_dict()
-    scenario = scenario_of(drive.result.path, row, run.log)
-    scenario, table = (
-        scenario.in_vehicle(run.driven(scenario.vehicle)),
-        run.planner.get(drive.planner, {}),
-    )
-    watch, drive_again = _drive_up_to(drive, scenario, recorded.t, debug=debug and planner is None)
-    if planner is not None:
-        return _plan_with(drive, scenario, watch, planner, debug=debug)
+    scenario, table = scenario_driven(drive), run.planner.get(drive.planner, {})
+    own_seat = planner is None and not changes
+    debug_at = recorded.t if debug and own_seat else inf
+    watch, drive_again = watched_drive(drive, scenario, run, recorded.t, debug_at)
+    if not drive_again.trace.frames or not _is_at(drive_again.trace.frames[-1].t, recorded.t):
+        reason = drive_again.trace.detail or drive_again.trace.end.value
+        raise PlannerError(f"{drive.log}: there is no plan at {recorded.t:.2f} s: {reason}")
+    if not own_seat:
+        name = planner or drive.planner
+        again = _plan_with(drive, scenario, watch, name, changes, debug=debug)
+        same = _is_plan_of(again.dump.plan, recorded.plan) if changes else None
+        return replace(again, is_same=same)
     last = watch.frames[-1]
     frames = tuple(watch.frames) if last.previous is not None else (last,)
     plan = drive_again.trace.frames[-1].plan
@@ -257,64 +268,92 @@ def replan_frame(
         for time in drive_again.timings
         if abs(time.t - last.t) < SAME_TIME_S
     }
-    new, old = plan.trajectory, recorded.plan.trajectory
+    return ReplannedFrame(scenario, dump, seconds, _is_plan_of(plan, recorded.plan))
+
+
+def _is_plan_of(plan: Plan, recorded: Plan) -> bool:
+    """Whether the trajectory is the one of the results, to the bit."""
+    new, old = plan.trajectory, recorded.trajectory
     # A trace without internals has only every few samples
     rows = [int(abs(new.t - t).argmin()) for t in old.t]
-    same = all(
+    return all(
         (getattr(new, name)[rows] == getattr(old, name)).all()
         for name in ("x", "y", "yaw", "v", "a")
     )
-    return ReplannedFrame(scenario, dump, seconds, same)
 
 
-def _drive_up_to(
-    drive: DriveResult, scenario: Scenario, until_s: float, *, debug: bool
+def _is_at(t: float, other: float) -> bool:
+    return abs(t - other) <= SAME_TIME_S
+
+
+def scenario_driven(drive: DriveResult) -> Scenario:
+    """The log of a drive, with the vehicle of its run; errors as `scenario_of`."""
+    run, row = drive.result.run, drive.result.logs.set_index("log").loc[drive.log].to_dict()
+    scenario = scenario_of(drive.result.path, row, run.log)
+    return scenario.in_vehicle(run.driven(scenario.vehicle))
+
+
+def watched_drive(
+    drive: DriveResult, scenario: Scenario, run: RunConfig, until_s: float, debug_at: float = inf
 ) -> tuple[WatchedPlanning, Drive]:
-    """The drive up to a frame, in this process."""
-    run, seats = drive.result.run, list[WatchedPlanning]()
+    """The drive up to a time, s, again, in this process and with the settings of `run`.
+
+    ConfigError and PlannerError as `replan.replay.loop.closed_loop.run_closed_loop`.
+    """
+    seats = list[WatchedPlanning]()
 
     def seat(*arguments: Any, **keywords: Any) -> WatchedPlanning:
-        seats.append(WatchedPlanning(until_s if debug else inf, *arguments, **keywords))
+        seats.append(WatchedPlanning(debug_at, *arguments, **keywords))
         return seats[0]
 
     keywords = planner_part(drive.planner, run.planner.get(drive.planner, {})).keywords()
     config = replace(run.drive_loop, apart=replace(run.loop.apart, trust=True))
-    loop = LOOPS[drive.trace.mode]
-    drive_again = loop(
+    loop = LOOPS[Mode(drive.mode)]
+    again = loop(
         scenario, drive.planner, planner_config=keywords, config=config, until_s=until_s, seat=seat
     )
-    if not drive_again.trace.frames or abs(drive_again.trace.frames[-1].t - until_s) > SAME_TIME_S:
-        reason = drive_again.trace.detail or drive_again.trace.end.value
-        raise PlannerError(f"{drive.log}: there is no plan at {until_s:.2f} s: {reason}")
-    return seats[0], drive_again
+    return seats[0], again
 
 
 def _plan_with(
-    drive: DriveResult, scenario: Scenario, watch: WatchedPlanning, planner: str, *, debug: bool
+    drive: DriveResult,
+    scenario: Scenario,
+    watch: WatchedPlanning,
+    planner: str,
+    changes: Sequence[InputChange],
+    *,
+    debug: bool,
 ) -> ReplannedFrame:
-    """Plan the last frame with a new instance of another planner."""
-    clock, frame = Stopwatch(), replace(watch.frames[-1], previous=None)
-    context, table = (
-        replace(watch.context, lap=clock.lap),
-        drive.result.run.planner.get(planner, {}),
-    )
+    """Plan the last frame with a new instance of a planner, which gets it alone; with changes, all
+    frames.
+    """
+    clock = Stopwatch()
+    context = changed_context(replace(watch.context, lap=clock.lap), changes)
+    frames = tuple(changed(watch.frames, changes)) if changes else (watch.frames[-1],)
+    frames = (replace(frames[0], previous=None), *frames[1:])
+    table = drive.result.run.planner.get(planner, {})
     build = planner_part(planner, table).configured()
     try:
         instance = built(build, context)
+        for frame in frames[:-1]:
+            instance.plan(frame)
         if debug:
             breakpoint()
         with record_problems() as problems:
             clock.start()
-            plan = checked(instance.plan(frame), frame, context.origin).recorded(keep=True)
-            clock.stop(frame.t)
+            plan = checked(instance.plan(frames[-1]), frames[-1], context.origin).recorded(
+                keep=True
+            )
+            clock.stop(frames[-1].t)
     except Exception as error:
         if isinstance(error, ReplanError) or not of_users(error):
             raise
         raise PlannerError(
-            f"planner '{planner}' raised at {frame.t:.2f} s: {raised(error)}"
+            f"planner '{planner}' raised at {frames[-1].t:.2f} s: {raised(error)}"
         ) from error
-    dump = FrameDump(drive.log, planner, table, context, (frame,), plan, tuple(problems))
-    return ReplannedFrame(scenario, dump, {time.stage: time.seconds for time in clock.times}, None)
+    dump = FrameDump(drive.log, planner, table, context, frames, plan, tuple(problems))
+    last = {time.stage: time.seconds for time in clock.times if _is_at(time.t, frames[-1].t)}
+    return ReplannedFrame(scenario, dump, last, None)
 
 
 def report_of(again: ReplannedFrame) -> Iterator[str]:

@@ -1,0 +1,483 @@
+"""Which change of its input makes one planner plan what another one planned.
+
+Suspect and reference get the same frames, those of the suspect's drives. A change of the input
+(`replan.explain.input_changes`) explains the suspect's plans if the reference, fed with it, plans
+the same to the bit (delta debugging of the input: Zeller and Hildebrandt 2002):
+
+(1) plan(frame of the suspect)  =  reference(change(frame of the suspect))
+
+The search looks at the frames in which the two differ most. Where bits differ, the nearest change
+is the one of the least distance, which the artefacts make smooth: an obstacle that is half a metre
+off tells the way before any plan changes,
+
+(2) distance = d(trajectories) + d(graphs), each of 0 .. 1, the mean over the frames
+(3) d(trajectories) = r / (r + ROUGH_M), r the mean distance of their points, m
+(4) d(graphs) = mean of r / (r + ROUGH_M) over the obstacles, r the mean distance of the corners of
+        two outlines of one agent; 1 for an obstacle that only one of them has
+
+A planner remembers. The frames to look at are those where memory does not matter: with fresh memory
+the reference plans the same as in the drive. A change that makes these plans equal is then tried on
+all frames of all drives, in order, those in which nothing differs included.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from hashlib import blake2b
+from itertools import chain
+from math import floor, inf, log10
+from typing import Any
+
+import numpy as np
+
+from replan.explain.input_changes import (
+    CHANGES,
+    EVERYBODY,
+    ChangeRow,
+    InputChange,
+    changed,
+    changed_context,
+)
+from replan.logs.agents import NUMBERS, AgentKind
+from replan.logs.frame import Frame, PlannerContext
+from replan.logs.plan import Graph, Plan
+from replan.planners.base import Planner
+from replan.replay.loop.plan_check import checked
+
+ROUGH_M = 1.0
+"""The distance that counts half in (3) and (4)."""
+GLANCE = 2
+"""Places at which every change is tried; those that bring no plan nearer are not tried further."""
+PLACES = 6
+"""Frames of all drives at which the nearer ones are tried and refined."""
+APART_S = 0.8
+"""Two of these frames of a drive are at least this far apart, s."""
+PROMISING = 8
+"""Changes that are refined."""
+BETTER = 0.95
+"""A change is nearer if its distance is below this share of the distance without a change."""
+STEPS = 10
+"""Steps of a refinement."""
+SETTING_SHARES = (0.1, 0.3, 0.5, 0.7, 0.85, 1.2, 1.5, 2.0, 3.0, 10.0)
+COLUMNS = ("t", "x", "y", "yaw", "v", "a")
+VEHICLES = frozenset({AgentKind.CAR, AgentKind.TRUCK, AgentKind.BUS})
+ON_FOOT_OR_BICYCLE = frozenset({AgentKind.PEDESTRIAN, AgentKind.BICYCLE})
+VULNERABLE = frozenset(kind for kind in AgentKind if kind.is_vulnerable)
+
+
+@dataclass(frozen=True, eq=False)
+class WatchedDrive:
+    """A drive of the suspect: what it was built with, its frames, and its plans."""
+
+    log: str
+    context: PlannerContext
+    frames: Sequence[Frame]
+    plans: Sequence[Plan]
+
+
+def same_plan(one: Plan | None, two: Plan) -> bool:
+    """Whether two trajectories are equal to the bit; None is the plan of a planner that raised."""
+    if one is None or len(one.trajectory.t) != len(two.trajectory.t):
+        return False
+    columns = [(getattr(one.trajectory, name), getattr(two.trajectory, name)) for name in COLUMNS]
+    return all(np.array_equal(first, second) for first, second in columns)
+
+
+def _near(distance_m: float) -> float:
+    return distance_m / (distance_m + ROUGH_M)
+
+
+def plan_distance(one: Plan | None, two: Plan) -> float:
+    """The distance (2) of two plans of one frame; 2 if one planner raised."""
+    if one is None:
+        return 2.0
+    t = two.trajectory.t
+    samples = np.minimum(t, one.trajectory.t[-1])
+    dx, dy = (
+        np.interp(samples, one.trajectory.t, getattr(one.trajectory, name))
+        - np.interp(samples, t, getattr(two.trajectory, name))
+        for name in ("x", "y")
+    )
+    obstacles = [
+        distance
+        for first, second in _planes(one, two)
+        for distance in _obstacle_distances(first, second)
+    ]
+    graphs = sum(obstacles) / len(obstacles) if obstacles else 0.0
+    return _near(float(np.hypot(dx, dy).mean())) + graphs  # (2), (3)
+
+
+def _planes(one: Plan, two: Plan) -> Iterator[tuple[Graph, Graph]]:
+    """The graphs of the same kind of two plans."""
+    graphs = [[item for item in plan.internals if isinstance(item, Graph)] for plan in (one, two)]
+    for first in graphs[0]:
+        second = next((graph for graph in graphs[1] if type(graph) is type(first)), None)
+        if second is not None:
+            yield first, second
+
+
+def _obstacle_distances(one: Graph, two: Graph) -> Iterator[float]:
+    """The terms of (4)."""
+    outlines = [{item.agent: item.outline for item in graph.obstacles} for graph in (one, two)]
+    for agent in {**outlines[0], **outlines[1]}:
+        first, second = outlines[0].get(agent), outlines[1].get(agent)
+        if first is None or second is None:
+            yield 1.0
+        elif first.shape == second.shape:
+            yield _near(float(np.hypot(*(first - second).T).mean()))
+        else:
+            corners = [np.vstack([line.min(axis=0), line.max(axis=0)]) for line in (first, second)]
+            yield _near(float(np.hypot(*(corners[0] - corners[1]).T).mean()))
+
+
+@dataclass(frozen=True)
+class SettingChange:
+    """A setting of the reference planner, by its dotted key, with another value than its own."""
+
+    key: str
+    value: float
+    own: float
+    kinds: frozenset[AgentKind] = EVERYBODY
+
+    @property
+    def row(self) -> ChangeRow:
+        """Shares of the own value; of a whole number its neighbours; of 0 some powers of ten."""
+        if isinstance(self.own, int):
+            tries = tuple(self.own + step for step in (-8.0, -4.0, -2.0, -1.0, 1.0, 2.0, 4.0, 8.0))
+            return ChangeRow(self.key, tries, None, "frames", cause="decision")
+        shares = SETTING_SHARES if self.own else (0.1, 1.0, 10.0)
+        tries = tuple(share * (self.own or 1.0) for share in shares)
+        return ChangeRow(self.key, tries, None, cause="decision")
+
+    @property
+    def given(self) -> float:
+        """The value as the planner takes it."""
+        return round(self.value) if isinstance(self.own, int) else self.value
+
+    def __str__(self) -> str:
+        return f"setting {self.key} {self.own:g} -> {self.value:g}"
+
+    def sentence(self, period_s: float = 0.1) -> str:
+        """What the planner acts on."""
+        return f"its setting {self.key} were {self.value:g} instead of {self.own:g}"
+
+
+Change = InputChange | SettingChange
+Build = Callable[[PlannerContext, Mapping[str, Any]], Planner]
+"""Builds the reference planner from a context, with changes of its table of settings."""
+
+
+class Reference:
+    """The reference planner, which plans frames of the suspect's drives."""
+
+    def __init__(self, build: Build) -> None:
+        self._build = build
+        self._planners: dict[tuple[str, tuple[Change, ...]], Planner] = {}
+        self._planned: dict[tuple[str, tuple[Change, ...], bytes], Plan | None] = {}
+
+    def plans(
+        self, drive: WatchedDrive, changes: Sequence[Change], *, keep: bool = False
+    ) -> Iterator[Plan | None]:
+        """The plans of all frames of a drive, in order, with their artefacts if these are to be
+        kept; None where the planner raised.
+        """
+        frames, context = changed(drive.frames, _of_frames(changes)), _of_build(changes)
+        for number in range(len(frames)):
+            yield self._plan(drive, context, number, frames[number], keep=keep)
+
+    def plan_afresh(
+        self, drive: WatchedDrive, changes: Sequence[Change], number: int
+    ) -> Plan | None:
+        """The plan of one frame, with artefacts, by a planner without memory; None if it raised."""
+        frame = changed(drive.frames, _of_frames(changes))[number]
+        context = _of_build(changes)
+        key = drive.log, context, _digest(frame)
+        if key not in self._planned:
+            self._plan(drive, context, number, _emptied(frame))  # forgets what was before
+            self._planned[key] = self._plan(drive, context, number, frame, keep=True)
+        return self._planned[key]
+
+    def _plan(
+        self,
+        drive: WatchedDrive,
+        context: tuple[Change, ...],
+        number: int,
+        frame: Frame,
+        *,
+        keep: bool = False,
+    ) -> Plan | None:
+        """The plan of a changed frame, checked as that of the frame as it was."""
+        try:
+            plan = self._planner(drive, context).plan(frame)
+            return checked(plan, drive.frames[number], drive.context.origin).recorded(keep=keep)
+        except Exception:  # a planner may refuse a changed input, or a changed setting
+            return None
+
+    def _planner(self, drive: WatchedDrive, context: tuple[Change, ...]) -> Planner:
+        """The planner for a drive, built with changes of the context and of its settings."""
+        key = drive.log, context
+        if key not in self._planners:
+            inputs = [change for change in context if isinstance(change, InputChange)]
+            settings = [change for change in context if isinstance(change, SettingChange)]
+            self._planners[key] = self._build(
+                changed_context(drive.context, inputs),
+                nested({change.key: change.given for change in settings}),
+            )
+        return self._planners[key]
+
+
+def _of_build(changes: Sequence[Change]) -> tuple[Change, ...]:
+    """The changes with which the planner is built."""
+    return tuple(change for change in changes if change.row.edit is None)
+
+
+def _of_frames(changes: Sequence[Change]) -> list[InputChange]:
+    """The changes of frames."""
+    inputs = [change for change in changes if isinstance(change, InputChange)]
+    return [change for change in inputs if change.row.edit is not None]
+
+
+def nested(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The table of values by dotted keys."""
+    table: dict[str, Any] = {}
+    for key, value in values.items():
+        *parents, last = key.split(".")
+        inner = table
+        for name in parents:
+            inner = inner.setdefault(name, {})
+        inner[last] = value
+    return table
+
+
+def _emptied(frame: Frame) -> Frame:
+    """The frame without road users, as the first one of a drive."""
+    none, predictions = np.empty(0, np.int64), frame.predictions
+    columns = {name: getattr(predictions, name)[none] for name in ("probability", "x", "y", "yaw")}
+    return replace(
+        frame,
+        agents=frame.agents.some(none),
+        predictions=replace(predictions, agent=none, **columns),
+        previous=None,
+    )
+
+
+def _digest(frame: Frame) -> bytes:
+    """The content of a frame."""
+    digest = blake2b(repr((frame.t, frame.ego, frame.agents.ids, frame.lights)).encode())
+    digest.update(b"afresh" if frame.previous is None else b"goes on")
+    for name in NUMBERS:
+        digest.update(getattr(frame.agents, name).tobytes())
+    for name in ("t", "agent", "probability", "x", "y", "yaw"):
+        digest.update(np.ascontiguousarray(getattr(frame.predictions, name)).tobytes())
+    return digest.digest()
+
+
+@dataclass(frozen=True, eq=False)
+class TriedInput:
+    """Changes, and how near to the suspect's plans they bring the reference.
+
+    Attributes:
+        distance: The mean of (2) at the places.
+        same: Number of plans that are equal to the bit, `total` of how many.
+    """
+
+    changes: tuple[Change, ...]
+    distance: float
+    same: int
+    total: int
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether all plans are equal to the bit."""
+        return self.same == self.total
+
+    @property
+    def order(self) -> tuple[int, float, int, int]:
+        """The better one first: more equal plans, nearer, fewer changes, of fewer kinds."""
+        kinds = sum(len(change.kinds) for change in self.changes)
+        return -self.same, self.distance, len(self.changes), kinds
+
+
+@dataclass(frozen=True, eq=False)
+class InputSearch:
+    """A search over the drives of the suspect.
+
+    Attributes:
+        reference: The planner whose input is changed.
+        drives: The drives of the suspect, those that differ most first.
+    """
+
+    reference: Reference
+    drives: Sequence[WatchedDrive]
+    _tried: dict[tuple[tuple[Change, ...], int], TriedInput] = field(default_factory=dict)
+
+    @cached_property
+    def unchanged(self) -> list[list[Plan | None]]:
+        """The reference's plans of all frames of each drive, without a change or artefacts."""
+        return [list(self.reference.plans(drive, ())) for drive in self.drives]
+
+    @cached_property
+    def differing(self) -> list[list[int]]:
+        """The frames of each drive whose plans differ, in order of time."""
+        return [
+            [n for n, plan in enumerate(drive.plans) if not same_plan(plans[n], plan)]
+            for drive, plans in zip(self.drives, self.unchanged, strict=True)
+        ]
+
+    @cached_property
+    def places(self) -> list[tuple[int, int]]:
+        """Drive and frame of the places to look at, the farthest one of each drive in turns."""
+        ranked = [self._places_of(row) for row in range(len(self.drives))]
+        turns = chain.from_iterable(
+            [(row, frames[turn]) for row, frames in enumerate(ranked) if turn < len(frames)]
+            for turn in range(PLACES)
+        )
+        return list(turns)[:PLACES]
+
+    def _places_of(self, row: int) -> list[int]:
+        """The frames of a drive in which the plans differ most and memory does not matter."""
+        drive, plans = self.drives[row], self.unchanged[row]
+        far = {n: plan_distance(plans[n], drive.plans[n]) for n in self.differing[row]}
+        frames: list[int] = []
+        for n in sorted(far, key=lambda n: (-far[n], n)):
+            t = drive.frames[n].t
+            if any(abs(t - drive.frames[other].t) < APART_S for other in frames):
+                continue
+            afresh, remembered = self.reference.plan_afresh(drive, (), n), plans[n]
+            if remembered is not None and same_plan(afresh, remembered):
+                frames.append(n)
+            if len(frames) == PLACES:
+                break
+        return frames
+
+    @cached_property
+    def kinds(self) -> list[frozenset[AgentKind]]:
+        """The groups of road users of which changes are tried: each kind that is there, those on
+        foot or a bicycle, the vulnerable ones, and the vehicles.
+        """
+        frames = (frame for drive in self.drives for frame in drive.frames)
+        present = {kind for frame in frames for kind in frame.agents.kinds}
+        single = [frozenset({kind}) for kind in AgentKind if kind in present]
+        groups = [ON_FOOT_OR_BICYCLE & present, VULNERABLE & present, VEHICLES & present]
+        several = [group for group in dict.fromkeys(groups) if 1 < len(group) < len(present)]
+        return [*single, *several] if len(single) > 1 else []
+
+    def at(self, changes: Sequence[Change], count: int = PLACES) -> TriedInput:
+        """The changes, tried at the first `count` places."""
+        key = tuple(changes), count
+        if key not in self._tried:
+            pairs = [
+                (
+                    self.reference.plan_afresh(self.drives[row], changes, n),
+                    self.drives[row].plans[n],
+                )
+                for row, n in self.places[:count]
+            ]
+            far = [plan_distance(plan, recorded) for plan, recorded in pairs]
+            same = sum(same_plan(plan, recorded) for plan, recorded in pairs)
+            self._tried[key] = TriedInput(key[0], float(np.mean(far)), same, len(pairs))
+        return self._tried[key]
+
+    def everywhere(self, changes: Sequence[Change], most_misses: float = inf) -> TriedInput | None:
+        """The changes, tried on all frames of all drives, in order; None if more than `most_misses`
+        plans are not equal.
+        """
+        misses = total = 0
+        for drive in self.drives:
+            plans = self.reference.plans(drive, changes)
+            for plan, recorded in zip(plans, drive.plans, strict=True):
+                misses += not same_plan(plan, recorded)
+                if misses > most_misses:
+                    return None
+            total += len(drive.plans)
+        return TriedInput(tuple(changes), self.at(changes).distance, total - misses, total)
+
+    def inputs(self) -> list[Change]:
+        """All changes of the input, each with a first value."""
+        return [
+            InputChange(name, row.tries[0], kinds)
+            for name, row in CHANGES.items()
+            for kinds in (EVERYBODY, *(self.kinds if row.of_kinds else ()))
+        ]
+
+    def nearer(
+        self, candidates: Sequence[Change], before: Sequence[Change] = ()
+    ) -> list[TriedInput]:
+        """The candidates that bring the reference nearer, added to those `before`, with their best
+        values, the best first.
+        """
+        best: list[TriedInput] = []
+        for change in candidates:
+            tries = [(*before, replace(change, value=value)) for value in change.row.tries]
+            glances = [tried for tried in tries if self._is_nearer(tried, before, GLANCE)]
+            near = [self.at(tried) for tried in glances if self._is_nearer(tried, before)]
+            if near:
+                best.append(min(near, key=lambda tried: tried.order))
+        promising = sorted(best, key=lambda tried: tried.order)[:PROMISING]
+        refined = [self.refined(tried.changes, len(before)) for tried in promising]
+        return sorted(refined, key=lambda tried: tried.order)
+
+    def _is_nearer(
+        self, changes: Sequence[Change], before: Sequence[Change], count: int = PLACES
+    ) -> bool:
+        """Whether more plans are equal than with the changes `before`, or they are nearer."""
+        tried, base = self.at(changes, count), self.at(before, count)
+        return tried.same > base.same or tried.distance < BETTER * base.distance
+
+    def finalists(self, count: int, most: int) -> list[tuple[Change, ...]]:
+        """The best `most` of all tries of `count` changes, and those that are as good."""
+        tries = [
+            tried
+            for (changes, places), tried in self._tried.items()
+            if len(changes) == count and places == PLACES
+        ]
+        tries.sort(key=lambda tried: tried.order)
+        last = tries[min(most, len(tries)) - 1] if tries else None
+        return [
+            tried.changes
+            for i, tried in enumerate(tries)
+            if i < most or (last is not None and tried.order[:2] == last.order[:2])
+        ]
+
+    def refined(self, changes: Sequence[Change], place: int) -> TriedInput:
+        """The changes with the best value of the one at `place`."""
+        change = changes[place]
+        row = change.row
+
+        def tried(value: float) -> TriedInput:
+            return self.at([*changes[:place], replace(change, value=value), *changes[place + 1 :]])
+
+        best = tried(change.value)
+        if not row.has_value:
+            return best
+        values = sorted({*row.tries, change.value})
+        index = values.index(change.value)
+        low, high = values[max(0, index - 1)], values[min(len(values) - 1, index + 1)]
+        if row.is_whole:
+            whole = [tried(float(value)) for value in range(round(low), round(high) + 1)]
+            return min([best, *whole], key=lambda item: item.order)
+        for _ in range(STEPS):
+            if best.is_exact:
+                break
+            middle = best.changes[place].value
+            halves = [tried(0.5 * (low + middle)), tried(0.5 * (middle + high))]
+            nearest = min([best, *halves], key=lambda item: item.order)
+            value = nearest.changes[place].value
+            if value < middle:
+                high = middle
+            elif value > middle:
+                low = middle
+            else:
+                low, high = 0.5 * (low + middle), 0.5 * (middle + high)
+            best = min([nearest, *map(tried, rounded(value))], key=lambda item: item.order)
+        return best
+
+
+def rounded(value: float) -> list[float]:
+    """The value with one, two and three digits."""
+    if value == 0.0 or not abs(value) < inf:
+        return [value]
+    order = floor(log10(abs(value)))
+    return list(dict.fromkeys(round(value, digits - order) for digits in range(3)))

@@ -7,7 +7,7 @@ One fault (`PLANTS`) is planted in a run over a suite of the catalogue. Drives t
 all gates that they fail with it, and fail no other one, fail for it; at most N of them, evenly
 drawn from their sorted names, are diagnosed twice: with all changes, where a change back to the
 defaults undoes the fault; and "hidden", without those changes, where only ideal parts (no latency
-is one, too), wider limits and other planners can show it. A diagnosis is right where it names the
+is one, too) and wider limits can show it. A diagnosis is right where it names the
 planted cause, and wrong where it does not; it may name it among others, or say "not found".
 
     OUT/diagnosis.csv     a row per fault: failing drives, and how many have each of `ANSWERS`; the

@@ -22,6 +22,9 @@ planner = "dp_qp"                           # only for this planner; left out: f
 (4) unavoidable         with every change it fails a gate that it failed before, and the careful
                         driver of UN R157 does not avoid the contact either
 (5) not found           it passes with no change, and (4) does not hold
+
+That another planner passes is a fact, and no cause: it is no change here. What a planner acts on is
+found against a run that does better (`replan.experiments.attribution`).
 """
 
 from __future__ import annotations
@@ -42,7 +45,7 @@ from replan.run.checks import checked
 
 BUILT_IN = Path(__file__).with_name("changes.toml")
 NOT_FOUND, UNAVOIDABLE = "not found", "unavoidable"
-RANKS = ("default", "ideal", "limits", "planner")
+RANKS = ("default", "ideal", "limits")
 """The order in which a cause is searched: settings that differ from the defaults before possible
 improvements.
 """

@@ -93,14 +93,8 @@ class DriveFinding:
 
 
 def settings_of(run: ChangedRun) -> str:
-    """The settings that a change sets, with their values; of another planner, not its own ones."""
-    changes_planner = any(key == "planners" for key, _ in run.keys)
-    keys = [
-        f"{key} = {value}"
-        for key, value in sorted(run.keys)
-        if not (changes_planner and key.startswith("planner."))
-    ]
-    return listed(keys, MOST_KEYS)
+    """The settings that a change sets, with their values."""
+    return listed([f"{key} = {value}" for key, value in sorted(run.keys)], MOST_KEYS)
 
 
 class Cluster(msgspec.Struct, frozen=True):
@@ -210,7 +204,8 @@ class Diagnosis:
         share = f"{len(group)} of {counted(len(self.drives), 'failing drive')}"
         gates = ", ".join(dict.fromkeys(drive.gates[0] for drive in group))
         yield f"{share}: {first.failure.sentence}."
-        yield f"  Cause: {first.cause.name}; {self.evidence(first.cause)}; fails {gates}."
+        points = f"Points to {first.cause.name}" if first.cause.changes else first.cause.name
+        yield f"  {points[0].upper()}{points[1:]}: {self.evidence(first.cause)}; fails {gates}."
         yield f"  Look first at {first.place}"
         if first.almost and not first.cause.changes:
             words = {run.change.name: run.change.words for run in self.runs}
@@ -220,8 +215,8 @@ class Diagnosis:
             time = f" --at {first.look_s:.1f}" if isfinite(first.look_s) else ""
             explain = f"replan explain {self.run} --log {first.log} -p {self.planner}{time}"
             yield (
-                f"  Next: {explain}; try its settings (--space FILE) or your own changes "
-                "(--changes FILE)."
+                f"  Next: {explain}; against a run that passes, replan diagnose {self.run} "
+                "--against BASELINE; settings (--space FILE) or your own changes (--changes FILE)."
             )
 
     def document(self) -> dict[str, Any]:

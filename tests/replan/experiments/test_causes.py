@@ -82,9 +82,6 @@ def test_a_change_is_tried_where_it_makes_another_run_and_once() -> None:
         "reactive_traffic",
         "other_solver",
         "hard_limits_dp_qp",
-        "planner_idm",
-        "planner_pdm",
-        "planner_lattice",
     ]
     late = load_run(
         None,
@@ -120,7 +117,7 @@ ROW = (
     [
         (
             ROW.format("mine", "worst"),
-            "rank is one of default, ideal, limits, planner, got 'worst'",
+            "rank is one of default, ideal, limits, got 'worst'",
         ),
         (ROW.format("a/b", "ideal"), "must be valid for a folder"),
         (ROW.format("true_futures", "ideal"), "two changes are called 'true_futures'"),

@@ -102,7 +102,7 @@ def test_the_planted_cause_is_named_and_the_sentences_agree_with_the_tables(foun
     assert drives.loc[0, "parts_s"] == table.loc["default_limits_idm", "parts_s"]
     happens, cause, place = diagnosis["said"][:3]
     assert happens == "1 of 1 failing drive: brakes too weakly for a car, and collides with them."
-    assert cause.startswith("  Cause: comfort bound; passes with the planner's default limits")
+    assert cause.startswith("  Points to comfort bound: passes with the planner's default limits")
     assert "collision_at_fault.count <= 0" in cause
     (drive,) = diagnosis["drives"]
     difference = drive["failure"]["difference"]

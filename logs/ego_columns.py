@@ -13,7 +13,7 @@ what the motion shows, and S what the column states:
 
 A column contradicts the motion if its misfit exceeds `denied`. If one of its readings (another
 sign, another unit, the radius for the curvature) then has a misfit below `fits`, the column is
-converted; else, beyond `ignored`, it is left out, and derived from the motion. Both are notes.
+converted; else, beyond `ignored`, it is left out, and derived from the motion. A note says either.
 Between them nothing changes: `replan.metrics.health` reports speeds that are off by a tenth.
 """
 
@@ -33,16 +33,22 @@ STEP_S = 2.0
 """Longest step within a window, s: the motion within a longer one is not known."""
 ENOUGH = 3
 """Fewer windows show nothing."""
-TURNS_RAD = 0.5
-"""A drive with fewer turns does not show the point of its positions, rad."""
-LEAST_M, ASKEW, AT_MOST = 1.0, 0.3, 0.3
-"""Columns are not judged by headings that are off the motion by more than the sine `ASKEW` in more
-than `AT_MOST` of the windows with `LEAST_M` of way.
-"""
+ASKEW = 0.3
+"""Sine of the angle between heading and motion above which a window is askew."""
+LEAST_M = 1.0
+"""Least way in a window that can be askew, m."""
+MOST_ASKEW = 0.3
+"""If a larger share of the windows is askew, the headings are wrong, and no column is judged."""
 PROPORTIONAL = 0.15
 """Misfit (5) of columns that are proportional to the motion."""
 MOVES_MPS = 0.5
 """Slower cars do not show their curvature, m/s."""
+LEAST_FACTOR = 1e-4
+"""A column below this share of the motion is not in proportion to it."""
+MOST_FACTOR = 1e4
+"""A column above this share of the motion is not in proportion to it."""
+MOST_STEER_RAD = 1.5
+"""Angles beyond this count as it: the tangent has no meaning from 90 degrees on, rad."""
 
 Readings = Mapping[str, Callable[[FloatArray, FloatArray], FloatArray]]
 """Other meanings of a column, by name: functions of the column and the speed `(n,)`."""
@@ -211,7 +217,10 @@ def _scales(shown: FloatArray, stated: FloatArray) -> bool:
     known = np.isfinite(shown) & np.isfinite(stated)
     size = float((stated[known] ** 2).sum())
     factor = float((shown[known] * stated[known]).sum()) / size if size > 0.0 else 0.0
-    return 1e-4 < factor < 1e4 and (misfit(shown, factor * stated, 0.0) or 0.0) < PROPORTIONAL
+    if not LEAST_FACTOR < factor < MOST_FACTOR:
+        return False
+    scaled = misfit(shown, factor * stated, 0.0)
+    return scaled is not None and scaled < PROPORTIONAL
 
 
 def agreed(
@@ -263,12 +272,10 @@ def with_agreed_columns(
         return dict(columns)
     middle = 0.5 * (yaw[windows.first] + yaw[windows.last])
     dx, dy = windows.change(x), windows.change(y)
-    along, across = (
-        dx * np.cos(middle) + dy * np.sin(middle),
-        dy * np.cos(middle) - dx * np.sin(middle),
-    )
+    along = dx * np.cos(middle) + dy * np.sin(middle)
+    across = dy * np.cos(middle) - dx * np.sin(middle)
     askew = np.abs(across) > ASKEW * np.hypot(dx, dy)
-    if (askew & (np.hypot(dx, dy) > LEAST_M)).mean() > AT_MOST:  # the headings are wrong
+    if (askew & (np.hypot(dx, dy) > LEAST_M)).mean() > MOST_ASKEW:
         return dict(columns)
     if along.sum() > 0.0:  # a drive backward states no sign of its speed
         v = agreed("v", v, v, along, windows.integral, notes)
@@ -287,47 +294,12 @@ def with_agreed_columns(
 def speed_along(t: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray) -> FloatArray:
     """Return backward differences of the position along the heading `(n,)`, m/s.
 
-    The first is the second; a lone state stands.
+    The first state has the speed of the second one; a single state stands.
     """
     if len(t) < 2:
         return np.zeros(len(t))
     v = (np.diff(x) * np.cos(yaw[1:]) + np.diff(y) * np.sin(yaw[1:])) / np.diff(t)
     return np.r_[v[:1], v]
-
-
-def place_ahead(
-    t: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray
-) -> tuple[float, float]:
-    """Return how far positions `(n,)` are before the rear axle, m, and the share of their sideways
-    motion that this explains, 0 to 1; (0, 0) if the drive does not show it.
-
-    The rear axle moves along the heading; a point d before it also moves sideways:
-    (6) sideways = d 2 sin(turn / 2), in each window
-    A delay of the headings gives the same with d in proportion to the speed: if that explains more,
-    it is no place.
-    """
-    windows, yaw = Windows.of(t), np.unwrap(yaw)
-    middle = 0.5 * (yaw[windows.first] + yaw[windows.last])
-    dx, dy = windows.change(x), windows.change(y)
-    sideways = dy * np.cos(middle) - dx * np.sin(middle)
-    along = dx * np.cos(middle) + dy * np.sin(middle)
-    turn = 2.0 * np.sin(0.5 * windows.change(yaw))
-    if np.abs(turn).sum() < TURNS_RAD:
-        return 0.0, 0.0
-    ahead, explained = _explained(sideways, turn)
-    _, by_delay = _explained(sideways, turn * along / windows.change(t))
-    return (ahead, explained) if explained >= by_delay else (0.0, 0.0)
-
-
-def _explained(values: FloatArray, cause: FloatArray) -> tuple[float, float]:
-    """Return the factor of a cause `(k,)` that fits the values best, and the share of their squares
-    that it explains.
-    """
-    size, total = float((cause**2).sum()), float((values**2).sum())
-    if not size > 0.0 or not total > 0.0:
-        return 0.0, 0.0
-    factor = float((values * cause).sum()) / size
-    return factor, 1.0 - float(((values - factor * cause) ** 2).sum()) / total
 
 
 def agreed_steering(
@@ -350,6 +322,8 @@ def agreed_steering(
         steer,
         v,
         windows.change(yaw),
-        lambda values: windows.integral(v * np.tan(np.clip(values, -1.5, 1.5)) / wheelbase),
+        lambda values: windows.integral(
+            v * np.tan(np.clip(values, -MOST_STEER_RAD, MOST_STEER_RAD)) / wheelbase
+        ),
         notes,
     )

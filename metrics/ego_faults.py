@@ -13,7 +13,7 @@ Between samples k and k + 1, dt apart, d apart, with the speeds v and v':
               and speed over a distance of `AGAINST_M`; a step of the yaw of more than `FLIP_RAD`
               within `GAP_S`
 (6) point     the positions are explained by a point that is `POINT_M` or more before or behind the
-              rear axle (`replan.logs.ego_columns.place_ahead`)
+              rear axle (`replan.logs.reference_point`)
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ import numpy as np
 from replan.core.arrays import BoolArray
 from replan.logs.chords import ENOUGH_M, Chords
 from replan.logs.conventions import TURNED_RAD
-from replan.logs.ego_columns import place_ahead
+from replan.logs.reference_point import place_ahead
 from replan.logs.scenario import Scenario
 from replan.logs.states import wrapped
 from replan.metrics.log_faults import (

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commonroad_files import driving, problem, straight, vehicle, written
-from handmade import drive, scenario, straight as ahead, track, tracks
+from handmade import drive, scenario, straight as straight_on, track, tracks
 from hypothesis import given, strategies as st
 
 from replan.logs.catalogue import scenario as built_in
@@ -18,7 +18,7 @@ from replan.logs.readers.commonroad import read_commonroad
 from replan.logs.scenario import Scenario
 from replan.logs.tracks import Tracks
 
-LOG = drive(ahead, 10.0, 12.0)
+LOG = drive(straight_on, 10.0, 12.0)
 
 
 def present(*spans: tuple[float, float], step: float = 0.1) -> Tracks:
@@ -93,11 +93,19 @@ def commonroad(folder: Path, *vehicles: str) -> Scenario:
     )
 
 
-def test_commonroad_traffic_that_ends_at_once_and_none_at_all(tmp_path: Path) -> None:
-    short = [vehicle(20 + i, driving(20.0 * i, 4.0, 10.0, steps=2)) for i in range(4)]
-    assert commonroad(tmp_path, *short).traffic == ((0.0, pytest.approx(0.1)),)
-    assert commonroad(tmp_path, *short, vehicle(30, driving(90.0, 4.0, 1.0, steps=31))).traffic == (
-        (0.0, pytest.approx(0.1)),
-    )
+SHORT = [vehicle(20 + i, driving(20.0 * i, 4.0, 10.0, steps=2)) for i in range(4)]
+ENDS_AT_ONCE = ((0.0, pytest.approx(0.1)),)
+
+
+def test_commonroad_traffic_that_ends_at_once_was_observed_until_then(tmp_path: Path) -> None:
+    assert commonroad(tmp_path, *SHORT).traffic == ENDS_AT_ONCE
+
+
+def test_a_straggler_does_not_extend_the_span_of_commonroad_traffic(tmp_path: Path) -> None:
+    straggler = vehicle(30, driving(90.0, 4.0, 1.0, steps=31))
+    assert commonroad(tmp_path, *SHORT, straggler).traffic == ENDS_AT_ONCE
+
+
+def test_a_commonroad_file_without_traffic_says_that_there_was_none(tmp_path: Path) -> None:
     empty = commonroad(tmp_path)
     assert empty.traffic == ((0.0, empty.duration),)

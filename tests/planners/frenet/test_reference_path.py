@@ -1,5 +1,8 @@
 """Reference path: smoothing that stays within its bound, and the width of known roads."""
 
+from dataclasses import replace
+from typing import NamedTuple
+
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -7,7 +10,7 @@ from worlds import CAR, along_x, beside, curve, lanes, strip
 
 from replan.core.arrays import FloatArray
 from replan.logs.reference_line import ReferenceLine
-from replan.logs.road import Lane, Road
+from replan.logs.road import Road
 from replan.logs.route import find_route
 from replan.logs.states import EgoState
 from replan.logs.vehicle import VehicleParameters
@@ -27,13 +30,21 @@ def reference(road: Road, ego: EgoState = EGO) -> ReferencePath:
     return make_reference_path(road, find_route(road, ego, None), ego)
 
 
-def at(line: ReferencePath, x: float) -> tuple[float, float, float, float, float]:
-    """Right road edge, right and left lane edge, left road edge, limit beside a place near the x
-    axis.
-    """
-    s, _ = line.line.project(x, 0.0)
-    columns = (line.road_right, line.lane_right, line.lane_left, line.road_left, line.limit)
-    return tuple(float(np.interp(s, line.line.s, column)) for column in columns)  # type: ignore[return-value]
+class Section(NamedTuple):
+    """Edges of road and lane, m, and the limit, m/s, at a station."""
+
+    road_right: float
+    lane_right: float
+    lane_left: float
+    road_left: float
+    limit: float
+
+
+def section(path: ReferencePath, x: float) -> Section:
+    """The section beside a place on the x axis."""
+    s, _ = path.line.project(x, 0.0)
+    columns = (path.road_right, path.lane_right, path.lane_left, path.road_left, path.limit)
+    return Section(*(float(np.interp(s, path.line.s, column)) for column in columns))
 
 
 def resampled(points: FloatArray, count: int) -> FloatArray:
@@ -135,35 +146,31 @@ def pair(left_of_own: dict[str, object], right_of_other: dict[str, object]) -> R
 @pytest.mark.parametrize("other", [True, False])
 def test_a_marking_is_crossed_only_where_both_lanes_allow_it(own: bool, other: bool) -> None:
     road = pair({"left_crossable": own}, {"right_crossable": other})
-    assert at(reference(road), 100.0)[3] == pytest.approx(5.25 if own and other else 1.75, abs=1e-3)
-    mirrored = at(reference(road, EgoState(0.0, 0.0, 3.5, 0.0, 10.0)), 100.0)
-    assert mirrored[0] == pytest.approx(-5.25 if own and other else -1.75, abs=1e-3)
+    assert section(reference(road), 100.0).road_left == pytest.approx(
+        5.25 if own and other else 1.75, abs=1e-3
+    )
+    mirrored = section(reference(road, EgoState(0.0, 0.0, 3.5, 0.0, 10.0)), 100.0)
+    assert mirrored.road_right == pytest.approx(-5.25 if own and other else -1.75, abs=1e-3)
 
 
 def test_a_marking_two_lanes_away_is_respected() -> None:
     road = lanes(along_x(), 3)
-    closed = {
-        i: Lane(**{**vars_of(lane), "left_crossable": i != 1}) for i, lane in road.lanes.items()
-    }
-    assert at(reference(Road(closed)), 100.0)[3] == pytest.approx(5.25, abs=1e-3)
-    assert at(reference(road), 100.0)[3] == pytest.approx(8.75, abs=1e-3)
-
-
-def vars_of(lane: Lane) -> dict[str, object]:
-    return {name: getattr(lane, name) for name in Lane.__dataclass_fields__}
+    closed = {i: replace(lane, left_crossable=i != 1) for i, lane in road.lanes.items()}
+    assert section(reference(Road(closed)), 100.0).road_left == pytest.approx(5.25, abs=1e-3)
+    assert section(reference(road), 100.0).road_left == pytest.approx(8.75, abs=1e-3)
 
 
 def test_the_opposite_lane_is_not_to_be_borrowed() -> None:
     opposite = strip(1, beside(along_x(), 3.5)[::-1])
     road = Road({0: strip(0, along_x(), left_opposite=True), 1: opposite})
     np.testing.assert_allclose(
-        at(reference(road), 100.0)[:4], (-1.75, -1.75, 1.75, 1.75), atol=1e-3
+        section(reference(road), 100.0)[:4], (-1.75, -1.75, 1.75, 1.75), atol=1e-3
     )
 
 
 def test_a_sidewalk_is_not_to_be_borrowed() -> None:
     road = Road({0: strip(0, along_x()), 1: strip(1, along_x(), 5.25, 1.75, drivable=False)})
-    assert at(reference(road), 100.0)[3] == pytest.approx(1.75, abs=1e-3)
+    assert section(reference(road), 100.0).road_left == pytest.approx(1.75, abs=1e-3)
 
 
 def test_a_merging_lane_belongs_to_the_road_only_where_it_adjoins() -> None:
@@ -172,8 +179,8 @@ def test_a_merging_lane_belongs_to_the_road_only_where_it_adjoins() -> None:
     middle = -3.5 - 10.0 * np.clip(1.0 - x / 100.0, 0.0, 1.0)
     ramp = strip(2, np.column_stack([x, middle]), left_neighbour=0, successors=())
     line = reference(Road({0: strip(0, along_x(), right_neighbour=2), 2: ramp}))
-    assert at(line, 20.0)[0] == pytest.approx(-1.75, abs=1e-3)
-    assert at(line, 150.0)[0] == pytest.approx(-5.25, abs=1e-2)
+    assert section(line, 20.0).road_right == pytest.approx(-1.75, abs=1e-3)
+    assert section(line, 150.0).road_right == pytest.approx(-5.25, abs=1e-2)
     np.testing.assert_allclose(line.lane_right, -1.75, atol=1e-3)
 
 
@@ -182,7 +189,7 @@ def test_the_limit_follows_the_lanes_and_the_route_goes_on_straight() -> None:
     second = strip(1, along_x(100.0, 300.0), speed_limit=8.0)
     line = reference(Road({0: first, 1: second}))
     assert line.line.length > 340.0
-    assert (at(line, 50.0)[4], at(line, 200.0)[4]) == pytest.approx((14.0, 8.0))
+    assert (section(line, 50.0).limit, section(line, 200.0).limit) == pytest.approx((14.0, 8.0))
 
 
 def test_a_lane_change_on_the_route_is_blended_from_the_ego_on() -> None:
@@ -221,9 +228,10 @@ def test_a_kinked_lane_is_smoothed_until_a_car_can_be_steered_along(
         road = Road({0: strip(0, kinked, 0.5 * width, -0.5 * width)})
         return make_reference_path(road, (0,), EGO, car).line
 
-    for width in (1.9, 5.0):
+    for width, has_room in ((1.9, False), (5.0, True)):
         plain, steerable = line(width, None), line(width, CAR)
-        assert (np.abs(steerable.kappa).max() < np.abs(plain.kappa).max()) == (width == 5.0)
+        is_gentler = np.abs(steerable.kappa).max() < np.abs(plain.kappa).max()
+        assert is_gentler == has_room
         away = [abs(plain.project(x, y)[1]) for x, y in steerable.xy]
         assert max(away) <= max(0.5 * (width - CAR.width), 0.0) + MAX_SHIFT_M
     assert (np.abs(steerable.kappa).max() <= CAR.max_kappa) == possible
@@ -238,4 +246,4 @@ def test_known_widths_are_found(width: float, count: int, own: int) -> None:
     )
     right = -(own + 0.5) * width
     expected = (right, -0.5 * width, 0.5 * width, right + count * width, 7.0)
-    np.testing.assert_allclose(at(line, 100.0), expected, atol=1e-3)
+    np.testing.assert_allclose(section(line, 100.0), expected, atol=1e-3)

@@ -126,9 +126,7 @@ def test_by_log_time_the_drives_are_joined_as_asked(tmp_path: Path) -> None:
 def test_a_bag_that_was_played_in_a_loop(tmp_path: Path) -> None:
     rows = [row for k in range(4) for row in bags.later(drive("odometry", 3.0, 1), 3.02 * k, 0.0)]
     path = bags.write_ros2(tmp_path / "bag", rows, sqlite=True)
-    with pytest.raises(
-        LogError, match=r"restarts at 3\.0 s, 6\.0 s, 9\.1 s of the bag: 4 drives"
-    ):
+    with pytest.raises(LogError, match=r"restarts at 3\.0 s, 6\.0 s, 9\.1 s of the bag: 4 drives"):
         read_log(path)
     for k in range(4):
         scenario = read_log(

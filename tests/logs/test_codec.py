@@ -5,8 +5,9 @@ stay.
 import msgspec
 import numpy as np
 import pytest
+from differences import differences
 from hypothesis import given, strategies as st
-from mcap_cases import differences, rich_scenario
+from rich_scenario import rich_scenario
 
 from replan.logs.codec import array_as_bytes, array_of, message_of, noun_of
 from replan.logs.frame import PlannerContext

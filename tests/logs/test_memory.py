@@ -9,8 +9,8 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from differences import differences
 from hypothesis import given, strategies as st
-from mcap_cases import differences
 
 from replan.logs.agents import AgentKind
 from replan.logs.catalogue import scenario

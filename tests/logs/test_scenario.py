@@ -3,8 +3,8 @@ from math import pi
 
 import numpy as np
 import pytest
+from differences import differences
 from hypothesis import given, strategies as st
-from mcap_cases import differences
 
 from replan.logs.agents import OLDEST_S, AgentKind
 from replan.logs.observed import MAX_AGE_S, MAX_GAP_S

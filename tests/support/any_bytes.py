@@ -7,8 +7,8 @@ from pathlib import Path
 from time import process_time
 
 import numpy as np
+from differences import differences
 from hypothesis import strategies as st
-from mcap_cases import differences
 
 from replan.core.errors import LogError
 from replan.logs.mcap import read_scenario, write_scenario

@@ -41,7 +41,7 @@ import recorded_cases
 import ros_bags as bags
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
-from mcap_cases import rich_scenario
+from rich_scenario import rich_scenario
 
 from replan.cli import main as replan
 from replan.draw.report import overview, terminal, write

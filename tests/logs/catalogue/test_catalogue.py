@@ -6,8 +6,8 @@ from math import pi
 
 import numpy as np
 import pytest
+from differences import differences
 from hypothesis import given, settings, strategies as st
-from mcap_cases import differences
 
 from replan.core.errors import ConfigError
 from replan.logs.catalogue import CATALOGUE

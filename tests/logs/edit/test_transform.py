@@ -11,7 +11,7 @@ import pytest
 from drives import drive
 from handmade import track, tracks
 from hypothesis import given, settings, strategies as st
-from mcap_cases import repaired_scenario
+from rich_scenario import repaired_scenario
 
 from replan.logs.catalogue import CATALOGUE
 from replan.logs.edit.transform import (

@@ -10,10 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from differences import differences
+from hand_written_mcap import RECORD, STATE, TABLE, ego_states, write_by_hand
 from hypothesis import HealthCheck, given, settings, strategies as st
 from mcap.opcode import Opcode
 from mcap.writer import Writer
-from mcap_cases import RECORD, STATE, TABLE, differences, ego_states, rich_scenario, write_by_hand
+from rich_scenario import rich_scenario
 
 from replan.core.errors import LogError
 from replan.logs.mcap import read_scenario, write_scenario

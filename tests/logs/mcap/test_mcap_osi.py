@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from differences import differences
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from mcap.writer import Writer
-from mcap_cases import differences
 
 from replan.core.errors import LogError
 from replan.logs.agents import AgentKind

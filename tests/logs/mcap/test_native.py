@@ -10,9 +10,11 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from differences import differences
 from hypothesis import HealthCheck, given, settings
 from mcap.reader import make_reader
-from mcap_cases import START_NS, differences, rich_scenario, scenarios
+from random_scenarios import scenarios
+from rich_scenario import START_NS, rich_scenario
 
 import replan
 from replan.core.errors import LogError, OutputError

@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import zstandard
+from differences import differences
 from handmade import drive, lanes_along, scenario, straight, track, tracks
 from hypothesis import HealthCheck, given, settings, strategies as st
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
-from mcap_cases import differences
 
 from replan.core.errors import LogError
 from replan.logs.edit.cut import cut, in_nanoseconds

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from differences import differences
 from mcap.reader import make_reader
-from mcap_cases import START_NS, differences, rich_scenario, seconds
+from rich_scenario import START_NS, rich_scenario, seconds
 
 from replan.core.errors import LogError
 from replan.logs.frame import Predictions

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
-from mcap_cases import rich_scenario
+from rich_scenario import rich_scenario
 
 from replan.core.errors import LogError
 from replan.core.names import visible_name

@@ -12,8 +12,8 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from any_bytes import goes_round, read_or_refused, spoiled
+from differences import differences
 from hypothesis import HealthCheck, given, settings, strategies as st
-from mcap_cases import differences
 from recorded_cases import (
     START_US,
     lane,

@@ -5,7 +5,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from mcap_cases import rich_scenario
+from rich_scenario import rich_scenario
 
 from replan.core.errors import ConfigError, LogError
 from replan.logs.mcap import write_scenario

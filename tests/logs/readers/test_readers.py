@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
-from mcap_cases import rich_scenario
+from rich_scenario import rich_scenario
 
 from replan.config import RunConfig
 from replan.core import extension

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from command_line import replan
 from crowd import street, street_ego
-from mcap_cases import differences, repaired_scenario, rich_scenario
+from differences import differences
+from rich_scenario import repaired_scenario, rich_scenario
 
 from replan.core.errors import LogError
 from replan.logs.agents import AgentKind

@@ -13,8 +13,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from any_bytes import CHANGES, changed, read_or_refused
+from differences import differences
 from hypothesis import HealthCheck, given, settings, strategies as st
-from mcap_cases import differences
 
 import replan
 from replan.config import RunConfig

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from crowd import street, street_ego
+from differences import differences
 from hypothesis import given, settings, strategies as st
-from mcap_cases import differences
 from track_score import near_ego, reported, score, tracked_points, true_points
 
 from replan.core.arrays import BoolArray, FloatArray

@@ -15,10 +15,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from differences import differences
 from handmade import drive, lanes_along, scenario, straight
 from mcap.reader import make_reader
-from mcap_cases import START_NS, differences, rich_scenario
 from mcap_protobuf.decoder import DecoderFactory
+from rich_scenario import START_NS, rich_scenario
 from typer.testing import CliRunner
 
 from replan.cli import app

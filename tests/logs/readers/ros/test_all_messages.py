@@ -15,11 +15,11 @@ from typing import Any
 import pytest
 import ros_bags as bags
 from command_line import evaluate, replan
+from differences import differences
 from hypothesis import HealthCheck, given, settings, strategies as st
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
-from mcap_cases import differences
 from ros_bags import START_NS, Row, message
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer as Writer2

@@ -18,10 +18,10 @@ import numpy as np
 import pytest
 import ros_bags as bags
 from any_bytes import goes_round, read_or_refused
+from differences import differences
 from hypothesis import HealthCheck, given, settings, strategies as st
 from mcap.reader import make_reader
 from mcap.writer import Writer
-from mcap_cases import differences
 from ros_bags import (
     RATE_HZ,
     SPEED,

@@ -39,7 +39,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for item in items:
         name = item.nodeid.removeprefix("tests/").partition("[")[0]
         for table, mark in ((SPARSE, pytest.mark.nightly), (LATER, pytest.mark.slow)):
-            if name in table and (not table[name] or seen[name] % table[name]):
+            k = table[name].k if name in table else 1
+            if not k or seen[name] % k:
                 item.add_marker(mark)
         seen[name] += 1
         if item.get_closest_marker("nightly"):

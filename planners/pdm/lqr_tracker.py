@@ -68,7 +68,7 @@ class Proposal(NamedTuple):
     speed: FloatArray
 
 
-class BicycleState(NamedTuple):
+class TrackerState(NamedTuple):
     """State of (3): m, rad, m/s, m/s2, and the angle of the front wheels, rad."""
 
     x: float
@@ -90,14 +90,14 @@ def track_proposal(
         path.sigma, path.x, path.y, path.yaw, path.kappa, np.ascontiguousarray(s)
     )
     steer = atan(car.wheelbase * start.kappa)
-    state = BicycleState(start.x, start.y, start.yaw, max(start.v, 0.0), start.a, steer)
+    state = TrackerState(start.x, start.y, start.yaw, max(start.v, 0.0), start.a, steer)
     proposal = Proposal(x, y, yaw, kappa, speed)
     return follow_proposal(proposal, state, car.wheelbase, car.max_steer, knots)
 
 
 @kernel
 def follow_proposal(
-    proposal: Proposal, start: BicycleState, wheelbase: float, max_steer: float, knots: int
+    proposal: Proposal, start: TrackerState, wheelbase: float, max_steer: float, knots: int
 ) -> FloatArray:
     """Rows x, y, yaw, v, a, kappa `(6, knots)` of the ego that follows a proposal."""
     states, last = np.empty((6, knots)), len(proposal.x) - 1

@@ -122,10 +122,10 @@ def whole_logs(folder: Path) -> None:
     write_scenario(native, scenario)
     paths = {f"native (bar {NATIVE_MS:.0f} ms)": native}
     if find_spec("foxglove_schemas_protobuf"):
-        from replan.draw.foxglove import scenario_channels
+        from replan.draw.foxglove import scenario_messages
 
         paths["native with Foxglove's channels"] = folder / "foxglove.mcap"
-        write_scenario(folder / "foxglove.mcap", scenario, beside=scenario_channels(scenario))
+        write_scenario(folder / "foxglove.mcap", scenario, beside=scenario_messages(scenario))
     ego = bags.odometry(duration=0.1 * (FRAMES - 1))
     for kind, name in ((TRACKED, "tracked"), (PREDICTED, "predicted")):
         paths[f"CDR, {name} (bar {CDR_MS:.0f} ms)"] = bags.write_ros2(

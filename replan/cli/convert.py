@@ -145,10 +145,10 @@ def _channels(*, foxglove: bool) -> Callable[[Scenario], Iterable[Entry]]:
     """
     if not foxglove:
         return lambda scenario: ()
-    from replan.draw.foxglove import scenario_channels
+    from replan.draw.foxglove import scenario_messages
     from replan.mine.mine import markers
 
-    return lambda scenario: scenario_channels(scenario, markers(scenario))
+    return lambda scenario: scenario_messages(scenario, markers(scenario))
 
 
 def _logs_at(

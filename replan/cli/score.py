@@ -16,7 +16,7 @@ from replan.core.errors import ConfigError
 if TYPE_CHECKING:
     from replan.draw.drawn_results import Results
     from replan.logs.scenario import Scenario
-    from replan.score.score_table import SubmittedPlan
+    from replan.score.submitted_plans import SubmittedPlan
 
 MOST_ROWS = 40  # More rows are not printed
 Names = Literal["nuplan-cls", "navsim-v1", "navsim-v2", "navsim-v2-old-filter"]
@@ -61,7 +61,8 @@ def score(
     """
     with ExitStack() as writes:
         from replan.run.claim import rows_file
-        from replan.score.score_table import AVERAGE, FINAL, NUPLAN_CLS, navsim_table, nuplan_table
+        from replan.score.navsim_table import navsim_table
+        from replan.score.nuplan_table import NUPLAN_CLS, nuplan_table
 
         write = writes.enter_context(rows_file(out)) if out is not None else None
         if name == NUPLAN_CLS:
@@ -86,10 +87,10 @@ def score(
         if as_json:
             say_json({"as": name, "rows": table.rows, "inexact": table.inexact})
         elif not quiet:
-            means = table.rows[table.rows.iloc[:, 0].isin([AVERAGE, FINAL])]
-            shown = table.rows if len(table.rows) <= MOST_ROWS else means
-            if len(shown) < len(table.rows):
-                say(f"{len(table.rows) - len(means)} rows; --out writes them. The means:")
+            shown = table.rows
+            if len(shown) > MOST_ROWS:
+                say(f"{len(table.scenes)} rows; --out writes them. The means:")
+                shown = shown.tail(len(table.summary))
             say(
                 shown.to_string(
                     index=False,
@@ -121,7 +122,7 @@ def _plans(
     """The plans to be scored, and the logs by name; ConfigError if the targets have none."""
     from replan.draw.drawn_results import load
     from replan.run.sources import select
-    from replan.score.score_table import plans_of_table, plans_of_trace
+    from replan.score.submitted_plans import plans_of_table, plans_of_trace
 
     plans: list[SubmittedPlan] = []
     logs: dict[str, Scenario] = {}

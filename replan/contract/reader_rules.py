@@ -25,7 +25,7 @@ READER_RULES: Mapping[str, str] = {
     "damaged": "raise LogError for a log that cannot be read, and nothing else",
     "beside": "write nothing",
 }
-"""The rules for readers, likewise."""
+"""The rules for readers: what a breach of each means, by the rule's name."""
 
 MOST_DAMAGED = 8
 """Of a log of many files, the number of those that are damaged in turn."""
@@ -52,10 +52,13 @@ def check_reader(
     path, settings, findings = local_path(path), settings or LogSettings(), Findings(READER_RULES)
     beside = _entries(path)
     claimed = call(findings, "claims", path.name, reader.claims, path)
-    if claimed is False and not reader.claims_with(path, settings):
-        findings.add("claims", path.name, "it does not claim the log")
+    if claimed is False:
+        claimed = call(findings, "claims", path.name, reader.claims_with, path, settings)
+        if claimed is False:
+            findings.add("claims", path.name, "it does not claim the log")
     files = call(findings, "files", path.name, reader.files, path) or ()
-    if not files or not all(file.is_file() for file in files) or reader.files(path) != files:
+    again = call(findings, "files", path.name, reader.files, path) or ()
+    if not files or not all(file.is_file() for file in files) or again != files:
         findings.add(
             "files",
             path.name,

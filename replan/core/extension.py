@@ -62,9 +62,8 @@ class ExtensionKind(Generic[T]):
     name: str  # its name in messages ("controller")
     plural: str  # its name in `replan list` and in the group of entry points ("controllers")
     builtin: Mapping[str, T]  # the extensions that come with replan, by name
-    # function that describes the fault of a loaded object, in words that follow its name; "": no
-    # fault
-    wrong: Callable[[object], str] = a_callable
+    # describes the fault of a loaded object, in words that follow its name; "": no fault
+    fault_of: Callable[[object], str] = a_callable
     # exception to raise if a module cannot be imported or lacks the name
     error: type[ConfigError] | type[PlannerError] = ConfigError
     form: str = "module:NAME"  # how users name an extension of their own
@@ -77,6 +76,8 @@ class ExtensionKind(Generic[T]):
 
     def find(self, spec: str) -> T:
         """Return the extension that the user named: built in, of an entry point, or "module:NAME".
+
+        The working directory is added at the end of `sys.path`, and stays there.
 
         Raises:
             ConfigError: The name is unknown, or two extensions have it.
@@ -106,22 +107,21 @@ class ExtensionKind(Generic[T]):
         except AttributeError:
             scope = f"{self.name} in {loaded.__name__}"
             return None, f": {unknown_name(scope, name, self._offered(loaded))}"
-        wrong = self.wrong(thing)
-        return thing, f" {wrong}" if wrong else ""
+        fault = self.fault_of(thing)
+        return thing, f" {fault}" if fault else ""
 
     def _offered(self, module: ModuleType) -> list[str]:
         """Return the extensions in a module: of `__all__`, else its own names, and imports under
         another name.
         """
-        names, public = [], getattr(module, "__all__", None)
-        for key, offered in vars(module).items():
-            imported = getattr(offered, "__module__", module.__name__) != module.__name__
-            own = not key.startswith("_") and not (
-                imported and getattr(offered, "__name__", "") == key
-            )
-            if (own if public is None else key in public) and not self.wrong(offered):
-                names.append(key)
-        return names
+        public = getattr(module, "__all__", None)
+        if public is None:
+            public = [name for name in vars(module) if _is_own(name, module)]
+        return [
+            name
+            for name, thing in vars(module).items()
+            if name in public and not self.fault_of(thing)
+        ]
 
     def place(self, spec: str) -> tuple[str, str]:
         """Return module and attribute of an extension that is not built in; ConfigError if `spec`
@@ -170,13 +170,10 @@ class ExtensionKind(Generic[T]):
             spec_of_module = find_spec(self.place(spec)[0])
         except ImportError:
             return None
-        return (
-            Path(spec_of_module.origin)
-            if spec_of_module is not None
-            and spec_of_module.origin
-            and Path(spec_of_module.origin).is_file()
-            else None
-        )
+        if spec_of_module is None or not spec_of_module.origin:
+            return None
+        origin = Path(spec_of_module.origin)
+        return origin if origin.is_file() else None
 
     def _cause(self, error: BaseException, module: str) -> str:
         """Return why the user's module cannot be imported, and the remedy if a module is
@@ -196,6 +193,18 @@ class ExtensionKind(Generic[T]):
         return raised(error) + (
             "" if member else f"; install '{package}' for {sys.executable}, or set PYTHONPATH"
         )
+
+
+def _is_own(name: str, module: ModuleType) -> bool:
+    """Return whether a name of a module is public, and not that of a function or class which the
+    module imports under its own name.
+    """
+    thing = vars(module)[name]
+    if name.startswith("_"):
+        return False
+    if getattr(thing, "__module__", module.__name__) == module.__name__:
+        return True
+    return getattr(thing, "__name__", "") != name
 
 
 def _is_interruption(error: BaseException) -> bool:

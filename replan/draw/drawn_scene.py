@@ -1,11 +1,12 @@
-"""What scenes show besides the road: decisions, agents in full, positions of a plan, and stretches
-of a log to look at.
+"""What scenes show of a plan and of the agents: decisions, the agents that are drawn in full, and
+the positions at full seconds.
+
+An agent in full has its name and its prediction; the others are boxes alone.
 """
 
 from __future__ import annotations
 
 from collections.abc import Container, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,26 +14,9 @@ from replan.core.arrays import FloatArray, IntArray
 from replan.logs.plan import Decision, DecisionKind, Plan, PlanSummary
 
 NEAREST = 6
+"""Number of agents nearest to the ego that are drawn in full."""
 NEAR_M = 40.0
-
-
-@dataclass(frozen=True)
-class Marker:
-    """A stretch of a log to look at."""
-
-    begin: float  # s since the log's start; `end` likewise
-    end: float
-    kind: str
-    about: str  # Who takes part, and more in words; may be empty
-
-    @property
-    def words(self) -> str:
-        """What happens, in a line: "cut in: car 12 (gap 3.2 m)"."""
-        return ": ".join(filter(None, (self.kind.replace("_", " "), self.about)))
-
-    def lasts_at(self, t: float) -> bool:
-        """Whether a time, s, is in the stretch."""
-        return self.begin <= t + 1e-9 and t < self.end - 1e-9
+"""Agents farther from the ego are drawn in full only with a decision, m."""
 
 
 def decided(plan: Plan | PlanSummary) -> dict[str, Decision]:
@@ -44,23 +28,28 @@ def decided(plan: Plan | PlanSummary) -> dict[str, Decision]:
     }
 
 
-def in_full(
+def rows_in_full(
     ids: Sequence[str],
     x: FloatArray,
     y: FloatArray,
-    about: Container[str],
+    decided_on: Container[str],
     ego: tuple[float, float],
 ) -> IntArray:
     """Rows of the agents drawn in full, increasing: the `NEAREST` within `NEAR_M`, and those with a
     decision.
 
-    `ids`: `(n,)`. `x`: world coordinate, m, `(n,)`. `y`: world coordinate, m, `(n,)`.
+    Args:
+        ids: The agents `(n,)`.
+        x: The first coordinate of each in the world, m, `(n,)`.
+        y: The second coordinate of each, m, `(n,)`.
+        decided_on: The agents with a decision.
+        ego: The ego's position in the world, m.
     """
     if len(ids) <= NEAREST:
         return np.arange(len(ids))
     distances_m = np.hypot(x - ego[0], y - ego[1])
     nearest = np.argsort(distances_m, kind="stable")[:NEAREST]
-    named = [row for row, name in enumerate(ids) if name in about]
+    named = [row for row, name in enumerate(ids) if name in decided_on]
     return np.union1d(nearest[distances_m[nearest] <= NEAR_M], named).astype(np.int64)
 
 

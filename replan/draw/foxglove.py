@@ -13,8 +13,7 @@
     /foxglove/onboard, /foxglove/plan    PosesInFrame    plans of the log's own planner, and of the
                                          trace
     /foxglove/plan_line   SceneUpdate     the plans of the trace as lines
-    /foxglove/events      Log             the begin of each event that `replan mine` finds in the
-                          log
+    /foxglove/events      Log             the begin of each marked stretch of the log
 
 The messages are Protobuf, from Foxglove's own package (extra `foxglove`). `MAP` has the coordinates
 of the log, relative to its origin; the ground is z = 0. Each message replaces the whole content of
@@ -26,14 +25,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import fields
 from operator import attrgetter
-from typing import Any
 
 import numpy as np
 
 from replan.core.arrays import FloatArray
 from replan.core.errors import ConfigError
 from replan.core.names import ShortNames
-from replan.draw.drawn_scene import Marker
+from replan.draw.markers import Marker
 from replan.draw.recording import colours
 from replan.draw.recording.road_layer import LIGHTS, STOP_SIGN
 from replan.logs.agents import AgentKind, Agents
@@ -79,11 +77,32 @@ HEIGHT_M = {
     AgentKind.OBJECT: 1.0,
 }
 """Typical heights, for drawing only: a log has none."""
-LINE_M, LABEL_PX = 0.1, 12.0
+LINE_M = 0.1
+"""Thickness of lines, m."""
+LABEL_PX = 12.0
+"""Size of names, pixels."""
+LABEL_ABOVE_M = 0.3
+"""Names stand this far above the box of their agent, m."""
+AGENT_ALPHA = 200
+"""Opacity of agents, of 255."""
 
 
-def scenario_channels(scenario: Scenario, markers: Sequence[Marker] = ()) -> Iterator[Entry]:
-    """The messages of a log, with its markers; LogError if a log time is before the epoch."""
+def scenario_messages(scenario: Scenario, markers: Sequence[Marker] = ()) -> Iterator[Entry]:
+    """The messages of a log and of its markers.
+
+    Raises:
+        LogError: A log time is before the epoch.
+    """
+    yield from _events(scenario, markers)
+    yield from _road(scenario)
+    yield from _agents(scenario)
+    yield from _ego(scenario)
+    plans = [(plan.known, plan.trajectory) for plan in scenario.onboard]
+    yield from _plans("/foxglove/onboard", plans, scenario.start_ns)
+
+
+def _events(scenario: Scenario, markers: Sequence[Marker]) -> Iterator[Entry]:
+    """The begins of stretches of the log, in the order of time."""
     start = scenario.start_ns
     ordered = sorted(markers, key=attrgetter("begin"))
     times = log_times(np.array([marker.begin for marker in ordered]), start, "/foxglove/events")
@@ -91,11 +110,13 @@ def scenario_channels(scenario: Scenario, markers: Sequence[Marker] = ()) -> Ite
         stamp, words = _stamp(time), marker.words
         log = Log(timestamp=stamp, level=Log.INFO, message=words, name=marker.kind)
         yield time, "/foxglove/events", log
-    yield from _road(scenario)
-    # write agents that never move once, the others at each time at which one of them was sampled
-    # and at the end
-    tracks, short = scenario.tracks, scenario.short_names
-    ego, vehicle = scenario.ego, scenario.vehicle
+
+
+def _agents(scenario: Scenario) -> Iterator[Entry]:
+    """Agents that never move, once; the others at each time at which one of them was sampled, and
+    at the end.
+    """
+    start, tracks, short = scenario.start_ns, scenario.tracks, scenario.short_names
     still = np.repeat(tracks.static, np.diff(tracks.offsets))
     if still.any():
         yield start, "/foxglove/obstacles", _boxes(tracks.taken(still).truth(0.0), start, short)
@@ -106,41 +127,48 @@ def scenario_channels(scenario: Scenario, markers: Sequence[Marker] = ()) -> Ite
             instants.tolist(), log_times(instants, start, "/foxglove/agents"), strict=True
         ):
             yield time, "/foxglove/agents", _boxes(moving.truth(t), time, short)
+
+
+def _ego(scenario: Scenario) -> Iterator[Entry]:
+    """The ego's poses, and once its box, which is bound to them."""
+    start, ego, vehicle = scenario.start_ns, scenario.ego, scenario.vehicle
     kept = np.isin(ego.t, _thin_times(ego.t))
     states = zip(ego.x[kept].tolist(), ego.y[kept].tolist(), ego.yaw[kept].tolist(), strict=True)
     for time, (x, y, yaw) in zip(
         log_times(ego.t[kept], start, "/foxglove/tf"), states, strict=True
     ):
-        at: dict[str, Any] = {"translation": Vector3(x=x, y=y), "rotation": _quaternion_of_yaw(yaw)}
-        stamp = _stamp(time)
-        yield (
-            time,
-            "/foxglove/tf",
-            FrameTransform(timestamp=stamp, parent_frame_id=MAP, child_frame_id=BASE, **at),
+        pose = FrameTransform(
+            timestamp=_stamp(time),
+            parent_frame_id=MAP,
+            child_frame_id=BASE,
+            translation=Vector3(x=x, y=y),
+            rotation=_quaternion_of_yaw(yaw),
         )
+        yield time, "/foxglove/tf", pose
     height = HEIGHT_M[AgentKind.CAR]
     size = Vector3(x=vehicle.length, y=vehicle.width, z=height)
-    pose = _pose(vehicle.axle_to_center, 0.0, 0.0, 0.5 * height)
-    box = CubePrimitive(pose=pose, size=size, color=_colour(colours.EGO))
+    centre = _pose(vehicle.axle_to_center, 0.0, 0.0, 0.5 * height)
+    box = CubePrimitive(pose=centre, size=size, color=_colour(colours.EGO))
     known = [KeyValuePair(key=f.name, value=str(getattr(vehicle, f.name))) for f in fields(vehicle)]
-    bound: dict[str, Any] = {"frame_id": BASE, "id": "ego", "frame_locked": True, "metadata": known}
-    yield (
-        start,
-        "/foxglove/ego",
-        SceneUpdate(entities=[SceneEntity(timestamp=_stamp(start), cubes=[box], **bound)]),
+    entity = SceneEntity(
+        timestamp=_stamp(start),
+        frame_id=BASE,
+        id="ego",
+        frame_locked=True,
+        metadata=known,
+        cubes=[box],
     )
-    yield from _plans(
-        "/foxglove/onboard", [(plan.known, plan.trajectory) for plan in scenario.onboard], start
-    )
+    yield start, "/foxglove/ego", SceneUpdate(entities=[entity])
 
 
-def trace_channels(trace: Trace, scenario: Scenario) -> Iterator[Entry]:
+def trace_messages(trace: Trace, scenario: Scenario) -> Iterator[Entry]:
     """The messages of a drive: those of its log, and its plans.
 
-    LogError as `scenario_channels`.
+    Raises:
+        LogError: A log time is before the epoch.
     """
     start = scenario.start_ns
-    yield from scenario_channels(driven_scenario(trace, scenario))
+    yield from scenario_messages(driven_scenario(trace, scenario))
     plans = [(frame.t, frame.plan.trajectory) for frame in trace.frames]
     yield from _plans("/foxglove/plan", plans, start)
     times = log_times(np.array([t for t, _ in plans]), start, "/foxglove/plan_line")
@@ -201,17 +229,22 @@ def _boxes(agents: Agents, time: int, short: ShortNames) -> SceneUpdate:
     ):
         height = HEIGHT_M[kind]
         size = Vector3(x=length, y=width, z=height)
-        colour = _colour(colours.with_alpha(colours.KINDS[kind], 200))
+        colour = _colour(colours.with_alpha(colours.KINDS[kind], AGENT_ALPHA))
         entity = _entity(
             name, time, [], {"kind": kind.value, "speed_mps": f"{np.hypot(vx, vy):.1f}"}
         )
         entity.cubes.append(
             CubePrimitive(pose=_pose(x, y, yaw, 0.5 * height), size=size, color=colour)
         )
-        label: dict[str, Any] = {"billboard": True, "scale_invariant": True, "font_size": LABEL_PX}
-        above = _pose(x, y, 0.0, height + 0.3)
         entity.texts.append(
-            TextPrimitive(pose=above, text=short(name), color=_colour(colours.TICK), **label)
+            TextPrimitive(
+                pose=_pose(x, y, 0.0, height + LABEL_ABOVE_M),
+                billboard=True,
+                font_size=LABEL_PX,
+                scale_invariant=True,
+                color=_colour(colours.TICK),
+                text=short(name),
+            )
         )
         entities.append(entity)
     return _scene(time, entities)

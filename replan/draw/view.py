@@ -33,7 +33,7 @@ from replan.core.arrays import FloatArray
 from replan.core.errors import ConfigError, ReplanError
 from replan.core.names import counted
 from replan.draw.drawn_results import load
-from replan.draw.drawn_scene import Marker
+from replan.draw.markers import Marker
 from replan.draw.panels import SERIES, Curve, Panel
 from replan.draw.plan_graphs import SL, ST
 from replan.draw.recording import write_log_recording

@@ -17,7 +17,8 @@
 
     tune       settings that are better than the defaults on logs that were not searched
     space.py           the settings to search, from a TOML file
-    gains.py           training and held-out logs; metrics of a run against those of the defaults
+    held_out.py        the logs on which the search does not look
+    gains.py           metrics of a run against those of the defaults
     optuna_trials.py, tune.py  the settings to try next; a whole tuning
 
     diagnose   why drives fail: driven again with one thing changed
@@ -34,6 +35,7 @@ is replaced or, with `resume`, gone on with (None: the next free one); `workers`
 processes, 0 for this one (or an engine, None for this process); and `say`, which is called with
 lines of progress. The results do not depend on `workers`.
 
-`replan.run.resume` is the file from which an interrupted experiment goes on; experiment_figures.py
-draws the pictures. optuna and cmaes are an extra, and are imported when a search begins.
+`replan.run.resume` is the file from which an interrupted experiment goes on; surface_figure.py,
+falsify_figure.py and pareto_figure.py draw the pictures. optuna and cmaes are an extra, and are
+imported when a search begins.
 """

@@ -48,7 +48,7 @@ import pandas as pd
 from replan.config import RunConfig
 from replan.core.errors import ConfigError, LogError
 from replan.core.names import counted
-from replan.experiments.experiment_figures import falsify_figure
+from replan.experiments.falsify_figure import falsify_figure
 from replan.experiments.mildest import Mildest, Point, ScoredPoint, cma_class, norm, search
 from replan.experiments.search_subject import SearchAxis, SearchSubject, box_of, values_at
 from replan.experiments.trial import (

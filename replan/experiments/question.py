@@ -38,8 +38,13 @@ class Axis:
     @property
     def label(self) -> str:
         """The name with its unit."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+    @property
+    def unit(self) -> str:
+        """The unit; "" for a number without one."""
         unit = VARIATIONS[self.name].unit
-        return self.name if unit == "1" else f"{self.name} [{unit}]"
+        return "" if unit == "1" else unit
 
     @property
     def spacing(self) -> float:

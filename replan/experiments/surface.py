@@ -32,8 +32,8 @@ import pandas as pd
 from replan.config import RunConfig
 from replan.core.names import counted
 from replan.experiments.brackets import ERROR, Bracket, Cell, bisect_brackets, brackets
-from replan.experiments.experiment_figures import surface_figure
 from replan.experiments.question import NAMED_DIGITS, SurfaceQuestion, check_agents
+from replan.experiments.surface_figure import surface_figure
 from replan.experiments.trial import Trial, closed, drive_made, one_planner, write_table
 from replan.logs.edit.variations import VARIATIONS, varied
 from replan.logs.scenario import Avoidability, Scenario
@@ -137,7 +137,7 @@ def vary(
             pairs = brackets(dict(zip(cells, outcomes, strict=True)))
             edges = bisect_brackets(pairs, rounds.between, question.resolution)
         result = VaryResult(folder, question, pd.DataFrame(rounds.rows), edges)
-        _write(result, scenario, planner)
+        _write(result, scenario, planner, rounds.deciding)
         return result
 
 
@@ -158,6 +158,7 @@ class _Rounds:
 
     def __post_init__(self) -> None:
         self.rows: list[dict[str, str | float]] = []
+        self.deciding: dict[str, str] = {}  # The metric of the first deciding gate, by log
         self.count = 0
 
     def between(self, cells: Sequence[Cell]) -> list[str]:
@@ -181,9 +182,18 @@ class _Rounds:
             makes, self.run, self.out / part, workers=self.workers, resume=self.resume
         )
         verdicts = [CellVerdict.of(trial) for trial in trials]
+        for trial, log in zip(trials, logs, strict=True):
+            metrics = () if isinstance(trial, str) else deciding_verdicts(trial)["metric"]
+            self.deciding[log] = next(iter(metrics), "")
         for values, verdict, log in zip(points, verdicts, logs, strict=True):
             self.rows.append({**values, "part": part, **asdict(verdict), "log": log})
         return [verdict.outcome for verdict in verdicts]
+
+
+def deciding_verdicts(trial: Trial) -> pd.DataFrame:
+    """The verdicts of the gates that decide the outcome of a trial; none if it passes."""
+    verdicts, outcome = trial.verdicts, trial.outcome
+    return verdicts[(verdicts["outcome"] == outcome.value) & (outcome is not Outcome.PASS)]
 
 
 def _file_name(values: Mapping[str, float]) -> str:
@@ -226,8 +236,7 @@ class CellVerdict:
         outcome, values, drive = trial.outcome, trial.values(), trial.drive
         is_unavoidable = trial.careful is Avoidability.UNAVOIDABLE
         excused = outcome is Outcome.INCONCLUSIVE and is_unavoidable
-        verdicts = trial.verdicts
-        deciding = verdicts[(verdicts["outcome"] == outcome.value) & (outcome is not Outcome.PASS)]
+        deciding = deciding_verdicts(trial)
         nearest = trial.metrics.loc[trial.metrics["metric"] == "gap.min", "time_s"]
         contact = drive.end in _CONTACTS
         return cls(
@@ -247,7 +256,9 @@ class CellVerdict:
 # files --------------------------------------------------------------------------------------------
 
 
-def _write(result: VaryResult, scenario: Scenario, planner: str) -> None:
+def _write(
+    result: VaryResult, scenario: Scenario, planner: str, deciding: Mapping[str, str]
+) -> None:
     folder, table, question = result.out, result.table, result.question
     write_table(folder, "surface", table)
     columns = [axis.name for axis in question.axes[1:]]
@@ -261,4 +272,5 @@ def _write(result: VaryResult, scenario: Scenario, planner: str) -> None:
     fixed = [f"{name} {VARIATIONS[name].shown(value)}" for name, value in question.fixed.items()]
     title = ", ".join([f"{scenario.name}: {planner}", *fixed])
     title += f"; varied: {agents}" if agents else ""
-    surface_figure(table, result.edges, question, title).save(folder / "surface.png")
+    figure = surface_figure(table, result.edges, question, deciding, title)
+    figure.save(folder / "surface.png")

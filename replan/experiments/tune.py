@@ -32,19 +32,16 @@ from replan.config import RunConfig
 from replan.core.errors import ConfigError
 from replan.core.names import counted
 from replan.draw.drawn_results import Results
-from replan.experiments.experiment_figures import pareto_figure
 from replan.experiments.gains import (
-    LEAST_LOGS,
     MeanGain,
     RunScores,
     gains,
-    held_out,
     is_dominated,
     mean_gain,
     run_scores,
     scales,
-    stratum,
 )
+from replan.experiments.held_out import held_out, stratum
 from replan.experiments.optuna_trials import (
     KIND,
     OptunaTrials,
@@ -53,12 +50,14 @@ from replan.experiments.optuna_trials import (
     key_of,
     optuna_module,
 )
+from replan.experiments.pareto_figure import pareto_figure
 from replan.experiments.space import chosen_table, listed, with_values
 from replan.experiments.trial import one_planner, scratch_folder, write_table
 from replan.logs.mcap import write_scenario
 from replan.metrics.comparison import Comparison
 from replan.metrics.judge.aggregate import LogLabels
 from replan.metrics.judge.gates import Outcome
+from replan.metrics.resampling import MIN_SIGNIFICANT
 from replan.results.tables import write_csv, write_json, write_text
 from replan.results.version import replan_version
 from replan.run import evaluate_logs
@@ -233,11 +232,11 @@ def _sorted_logs(selection: Selection, out: Path, share: float) -> Logs:
     held = held_out(labels, share)
     strata = {name: stratum(label) for name, label in labels.items()}
     logs = Logs(places, identities, strata, held)
-    if len(held) < LEAST_LOGS:
+    if len(held) < MIN_SIGNIFICANT:
         raise ConfigError(
             f"--held-out {share:g} of {counted(len(labels), 'log')} holds out {len(held)}, and on "
-            f"fewer than {LEAST_LOGS} no difference is more than chance: name more logs, or hold "
-            "out more of them"
+            f"fewer than {MIN_SIGNIFICANT} no difference is more than chance: name more logs, or "
+            "hold out more of them"
         )
     if not logs.training:
         raise ConfigError(

@@ -41,19 +41,26 @@ from replan.mine.road_users import ALONG
 
 COURSE_S = 0.3
 """Least duration of a collision course."""
-NEAR_S, NEAR_M = 2.0, 1.0
-"""A collision course is a near miss if it needs hard braking (2), and in NEAR_S after it they come
-within NEAR_M or one brakes hard."""
+NEAR_S = 2.0
+"""A collision course that needs hard braking (2) is a near miss if, until so long after it, the two
+come within `NEAR_M` or one of them brakes hard, s.
+"""
+NEAR_M = 1.0
+"""Least gap of two road users that do not come near, m."""
+HOLE_S = 0.5
+"""An event goes on over an interruption up to this long, s."""
 WINDOW_S = 10.0
 """Largest time between two road users at a place that are in conflict."""
 CLOSE_S = 1.0
 """The second one would have come less than this time after the first one, had it not yielded."""
 BEFORE_S = 10.0
 """A road user that yields slows down within this time before the other one is there."""
-SLOWED_MPS, SLOWED = 1.0, 0.3
-"""Least decrease of the speed of a road user that yields: absolute, m/s, and as a share of its
-speed before.
-"""
+SLOWED_MPS = 1.0
+"""Least decrease of the speed of a road user that yields, m/s."""
+SLOWED = 0.3
+"""Least decrease of the speed of a road user that yields, as a share of its speed before."""
+BEYOND_M = 10.0
+"""Places farther outside of the box around the ego's way are not compared with it, m."""
 MOVES_MPS = 0.5
 """Slower road users stand."""
 SUDDEN = "they are first seen as they touch"
@@ -67,7 +74,7 @@ def _near_miss_ttc(log: DrivenLog) -> Iterator[Event]:
         size = np.array(user.size)
         ttc, needed = _courses(log.boxes, turn, log.car, user.pose, user.turn, user.k, size, TTC_S)
         gaps = _gaps(log.boxes, log.car, user.pose, user.k, size)
-        for first, last in runs(ttc < TTC_S, user.k, steps(COURSE_S), steps(0.5)):
+        for first, last in runs(ttc < TTC_S, user.k, steps(COURSE_S), steps(HOLE_S)):
             if needed[first : last + 1].max() < HARD_MPS2:
                 continue
             window = slice(first, min(last + steps(NEAR_S), len(user.k) - 1) + 1)
@@ -91,7 +98,7 @@ def _contact(log: DrivenLog) -> Iterator[Event]:
         ego_vx, ego_vy = log.boxes[-2:, user.k]
         vx, vy = user.pose[-2:]
         closing = np.hypot(vx - ego_vx, vy - ego_vy)
-        for first, last in runs(gaps <= 0.0, user.k, hole=steps(0.5)):
+        for first, last in runs(gaps <= 0.0, user.k, hole=steps(HOLE_S)):
             doubt = ""
             if first == 0 or user.k[first] > user.k[first - 1] + 1:
                 doubt = SUDDEN
@@ -161,7 +168,7 @@ def _conflicts(log: DrivenLog) -> tuple[tuple[Neighbour, int, int], ...]:
     """
     conflicts = []
     size = np.array([log.car.length, log.car.width])
-    low, high = log.boxes[:2].min(axis=1) - 10.0, log.boxes[:2].max(axis=1) + 10.0
+    low, high = log.boxes[:2].min(axis=1) - BEYOND_M, log.boxes[:2].max(axis=1) + BEYOND_M
     for user in log.neighbours:
         moves = user.speed > MOVES_MPS
         if not moves.any():
@@ -239,13 +246,24 @@ def _courses(
         if hypot(vx, vy) <= NO_TTC_MPS:
             continue
         rear_x, rear_y = x - car.axle * np.cos(yaw), y - car.axle * np.sin(yaw)
-        px, py, heading = pose[0, m], pose[1, m], pose[2, m]
-        ux, uy = pose[3, m], pose[4, m]
-        away, closing = hypot(px - x, py - y), hypot(ux - vx, uy - vy)
-        if away - reach > horizon * closing or is_behind(rear_x, rear_y, yaw, px, py):
+        other_x, other_y, other_yaw = pose[0, m], pose[1, m], pose[2, m]
+        other_vx, other_vy = pose[3, m], pose[4, m]
+        away, closing = hypot(other_x - x, other_y - y), hypot(other_vx - vx, other_vy - vy)
+        if away - reach > horizon * closing or is_behind(rear_x, rear_y, yaw, other_x, other_y):
             continue
         ttc = time_to_contact(
-            x, y, yaw, car.length, car.width, px, py, heading, size[0], size[1], ux - vx, uy - vy
+            x,
+            y,
+            yaw,
+            car.length,
+            car.width,
+            other_x,
+            other_y,
+            other_yaw,
+            size[0],
+            size[1],
+            other_vx - vx,
+            other_vy - vy,
         )
         if ttc < horizon:
             turning = time_to_contact_turning(
@@ -257,13 +275,13 @@ def _courses(
                 vx,
                 vy,
                 turn[k[m]],
-                px,
-                py,
-                heading,
+                other_x,
+                other_y,
+                other_yaw,
                 size[0],
                 size[1],
-                ux,
-                uy,
+                other_vx,
+                other_vy,
                 turns[m],
                 TURN_S,
             )
@@ -286,61 +304,75 @@ def _gaps(
     reach = 0.5 * (hypot(car.length, car.width) + hypot(size[0], size[1])) + NEAR_M
     for m in range(len(k)):
         x, y, yaw = ego[0, k[m]], ego[1, k[m]], ego[2, k[m]]
-        u, v, turned = pose[0, m], pose[1, m], pose[2, m]
-        if hypot(u - x, v - y) <= reach:
-            gaps[m] = clearance(x, y, yaw, car.length, car.width, u, v, turned, size[0], size[1])
+        other_x, other_y, other_yaw = pose[0, m], pose[1, m], pose[2, m]
+        if hypot(other_x - x, other_y - y) <= reach:
+            gaps[m] = clearance(
+                x, y, yaw, car.length, car.width, other_x, other_y, other_yaw, size[0], size[1]
+            )
     return gaps
 
 
 CONFLICTS = (
     EventKind(
-        "contact",
-        _contact,
-        "The boxes of the ego and a road user overlap, but for phantoms (docs/gates.md). While "
-        "they do.",
-        "speed of the two against each other at first",
-        "m/s",
-        "",
-        f"{SUDDEN}; or {TOO_LARGE}; or {SHALLOW}",
+        name="contact",
+        find=_contact,
+        meaning=(
+            "The boxes of the ego and a road user overlap, but for phantoms (docs/gates.md). While "
+            "they do."
+        ),
+        measures="speed of the two against each other at first",
+        unit="m/s",
+        doubted=f"{SUDDEN}; or {TOO_LARGE}; or {SHALLOW}",
     ),
     EventKind(
-        "near_miss_ttc",
-        _near_miss_ttc,
-        f"For {COURSE_S} s the time to collision is below {TTC_S} s, at constant velocity and as "
-        f"the two turn, and to avoid the contact needs {HARD_MPS2:g} m/s2 of braking or more; "
-        f"until {NEAR_S:g} s later the two come within {NEAR_M:g} m, or one of them, but for a "
-        f"vehicle beside the band, brakes with {HARD_MPS2:g} m/s2 or more.",
-        "least TTC",
-        "s",
-        "TTC and required deceleration: criticality metrics catalogue, Westhofen et al. 2023",
-        f"{JUMPS}; or {SHALLOW}",
+        name="near_miss_ttc",
+        find=_near_miss_ttc,
+        meaning=(
+            f"For {COURSE_S} s the time to collision is below {TTC_S} s, at constant velocity and "
+            f"as the two turn, and only braking with {HARD_MPS2:g} m/s2 or more avoids the "
+            f"contact; until {NEAR_S:g} s later the two come within {NEAR_M:g} m, or one of them, "
+            f"but for a vehicle beside the band, brakes with {HARD_MPS2:g} m/s2 or more."
+        ),
+        measures="least TTC",
+        unit="s",
+        source=(
+            "TTC and required deceleration: criticality metrics catalogue, Westhofen et al. 2023"
+        ),
+        doubted=f"{JUMPS}; or {SHALLOW}",
     ),
     EventKind(
-        "near_miss_pet",
-        _near_miss_pet,
-        f"The ego, moving, and another road user take the same place within {PET_S:g} s. From the "
-        "first to the second.",
-        "PET",
-        "s",
-        "Allen, Shin, Cooper, Transp. Res. Rec. 667 (1978); the bound is that of the metric pet",
+        name="near_miss_pet",
+        find=_near_miss_pet,
+        meaning=(
+            f"The ego, moving, and another road user take the same place within {PET_S:g} s. From "
+            "the first to the second."
+        ),
+        measures="PET",
+        unit="s",
+        source=(
+            "Allen, Shin, Cooper, Transp. Res. Rec. 667 (1978); the bound is that of the metric pet"
+        ),
     ),
     EventKind(
-        "ego_yields",
-        _ego_yields,
-        f"The ego slows down by {SLOWED_MPS:g} m/s and {SLOWED:.0%} or more before another road "
-        f"user takes a place on its way, and comes there up to {WINDOW_S:g} s later; at the speed "
-        f"before it would have come before the other or less than {CLOSE_S:g} s after. From when "
-        "it begins to slow down until it is there.",
-        "PET",
-        "s",
-        "",
+        name="ego_yields",
+        find=_ego_yields,
+        meaning=(
+            f"The ego slows down by {SLOWED_MPS:g} m/s and {SLOWED:.0%} or more before another "
+            f"road user takes a place on its way, and comes there up to {WINDOW_S:g} s later; at "
+            f"the speed before it would have come before the other or less than {CLOSE_S:g} s "
+            "after. From when it begins to slow down until it is there."
+        ),
+        measures="PET",
+        unit="s",
     ),
     EventKind(
-        "ego_is_yielded_to",
-        _ego_is_yielded_to,
-        "The same with the roles exchanged: another road user slows down, and the ego goes first.",
-        "PET",
-        "s",
-        "",
+        name="ego_is_yielded_to",
+        find=_ego_is_yielded_to,
+        meaning=(
+            "The same with the roles exchanged: another road user slows down, and the ego goes "
+            "first."
+        ),
+        measures="PET",
+        unit="s",
     ),
 )

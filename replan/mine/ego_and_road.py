@@ -333,76 +333,93 @@ def _crosswalk(log: DrivenLog) -> Iterable[Event] | Unavailable:
 
 EGO_AND_ROAD = (
     EventKind(
-        "hard_braking",
-        _hard_braking,
-        f"The ego's speed falls by {HARD_MPS2:g} m/s2 or more (mean over 0.5 s) for {HARD_S} s.",
-        "least acceleration",
-        "m/s2",
-        "between nuPlan's comfort bound (-4.05 m/s2) and usual braking (-2 m/s2)",
-        JUMPS,
+        name="hard_braking",
+        find=_hard_braking,
+        meaning=(
+            f"The ego's speed falls by {HARD_MPS2:g} m/s2 or more (mean over 0.5 s) for {HARD_S} s."
+        ),
+        measures="least acceleration",
+        unit="m/s2",
+        source="between nuPlan's comfort bound (-4.05 m/s2) and usual braking (-2 m/s2)",
+        doubted=JUMPS,
     ),
     EventKind(
-        "lane_change",
-        _lane_change,
-        f"The ego's box centre comes from a lane to its neighbour and stays there for {STAYS_S:g} "
-        f"s. From {CHANGE_S:g} s before to {CHANGE_S:g} s after; `what` is the side.",
-        "speed",
-        "m/s",
-        "nuPlan's scenario tags (changing_lane)",
+        name="lane_change",
+        find=_lane_change,
+        meaning=(
+            "The ego's box centre comes from a lane to its neighbour and stays there for "
+            f"{STAYS_S:g} s. From {CHANGE_S:g} s before to {CHANGE_S:g} s after; `what` is the "
+            "side."
+        ),
+        measures="speed",
+        unit="m/s",
+        source="nuPlan's scenario tags (changing_lane)",
     ),
     EventKind(
-        "unprotected_turn",
-        _unprotected_turn,
-        f"The ego turns by 45 degrees or more, tighter than {1.0 / TURN_KAPPA:g} m, where lanes "
-        f"cross, and no stop line with a light lies on its way from {LIGHT_BEFORE_M:g} m before "
-        "the turn. While its box is in the turn; `what` is the side.",
-        "angle, positive to the left",
-        "rad",
-        "nuPlan's scenario tags (starting_unprotected_cross_turn, "
-        "starting_unprotected_noncross_turn)",
+        name="unprotected_turn",
+        find=_unprotected_turn,
+        meaning=(
+            f"The ego turns by 45 degrees or more, tighter than {1.0 / TURN_KAPPA:g} m, where "
+            f"lanes cross, and no stop line with a light lies on its way from {LIGHT_BEFORE_M:g} m "
+            "before the turn. While its box is in the turn; `what` is the side."
+        ),
+        measures="angle, positive to the left",
+        unit="rad",
+        source=(
+            "nuPlan's scenario tags (starting_unprotected_cross_turn, "
+            "starting_unprotected_noncross_turn)"
+        ),
     ),
     EventKind(
-        "merge",
-        _merge,
-        "The ego comes to a lane into which another lane leads from about the same direction, and "
-        f"a vehicle is on that other lane within {MERGE_S:g} s and {MERGE_M:g} m.",
-        "least distance of the centres",
-        "m",
-        "",
+        name="merge",
+        find=_merge,
+        meaning=(
+            "The ego comes to a lane into which another lane leads from about the same direction, "
+            f"and a vehicle is on that other lane within {MERGE_S:g} s and {MERGE_M:g} m."
+        ),
+        measures="least distance of the centres",
+        unit="m",
     ),
     EventKind(
-        "roundabout",
-        _roundabout,
-        f"The ego is on a lane that is part of a circle of lanes of at most {ROUNDABOUT_M:g} m.",
-        "mean speed",
-        "m/s",
-        "",
+        name="roundabout",
+        find=_roundabout,
+        meaning=(
+            f"The ego is on a lane that is part of a circle of lanes of at most {ROUNDABOUT_M:g} m."
+        ),
+        measures="mean speed",
+        unit="m/s",
     ),
     EventKind(
-        "red_light",
-        _red_light,
-        f"A stop line with a red light lies up to {LIGHT_BEFORE_M:g} m ahead on the ego's path, "
-        "for 0.5 s; `what` is the line.",
-        "least speed",
-        "m/s",
-        "nuPlan's scenario tags (on_stopline_traffic_light)",
+        name="red_light",
+        find=_red_light,
+        meaning=(
+            f"A stop line with a red light lies up to {LIGHT_BEFORE_M:g} m ahead on the ego's "
+            "path, for 0.5 s; `what` is the line."
+        ),
+        measures="least speed",
+        unit="m/s",
+        source="nuPlan's scenario tags (on_stopline_traffic_light)",
     ),
     EventKind(
-        "stop_sign",
-        _stop_sign,
-        f"A stop line with a stop sign lies up to {STOP_BEFORE_M:g} m ahead on the ego's path; "
-        "`what` is the line.",
-        "least speed",
-        "m/s",
-        "nuPlan's scenario tags (on_stopline_stop_sign)",
+        name="stop_sign",
+        find=_stop_sign,
+        meaning=(
+            f"A stop line with a stop sign lies up to {STOP_BEFORE_M:g} m ahead on the ego's path; "
+            "`what` is the line."
+        ),
+        measures="least speed",
+        unit="m/s",
+        source="nuPlan's scenario tags (on_stopline_stop_sign)",
     ),
     EventKind(
-        "crosswalk",
-        _crosswalk,
-        "The ego's box is on a crosswalk; the agents are the pedestrians within 3 m of it; `what` "
-        "is the crosswalk.",
-        "speed when it comes there",
-        "m/s",
-        "nuPlan's scenario tags (traversing_crosswalk)",
+        name="crosswalk",
+        find=_crosswalk,
+        meaning=(
+            "The ego's box is on a crosswalk; the agents are the pedestrians within 3 m of it; "
+            "`what` is the crosswalk."
+        ),
+        measures="speed when it comes there",
+        unit="m/s",
+        source="nuPlan's scenario tags (traversing_crosswalk)",
     ),
 )

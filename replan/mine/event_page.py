@@ -9,7 +9,7 @@ drawn as a log is mined: at most `MOST_OF_A_KIND` of a log and kind.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import isfinite
 from pathlib import Path
@@ -39,6 +39,10 @@ AROUND_S = 3.0
 """The speeds are drawn, and the shown command drives, from this long before the event to as long
 after it.
 """
+LEAST_SPAN_MPS = 2.0
+"""The axis of the speeds covers at least this."""
+LEAST_SPAN_S = 0.1
+"""The axis of the time covers at least this."""
 
 
 def draw_events(
@@ -50,23 +54,23 @@ def draw_events(
         OutputError: A picture cannot be written.
     """
     trace = Trace(
-        scenario.name,
-        "logged",
-        Mode.OPEN,
-        True,
-        scenario.ego,
-        scenario.tracks,
-        (),
-        EndReason.END_OF_LOG,
+        scenario=scenario.name,
+        planner="logged",
+        mode=Mode.OPEN,
+        oracle=True,
+        ego=scenario.ego,
+        agents=scenario.tracks,
+        frames=(),
+        end=EndReason.END_OF_LOG,
     )
-    for row in drawn(rows):
+    for row in rows_with_picture(rows):
         path = folder / picture_of(row, digest)
         with writing(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             write_text(path, event_picture(scenario, trace, row).alone("light"))
 
 
-def drawn(rows: Iterable[Mapping[str, Any]]) -> Iterator[Mapping[str, Any]]:
+def rows_with_picture(rows: Iterable[Mapping[str, Any]]) -> Iterator[Mapping[str, Any]]:
     """The rows of one log that have a picture."""
     count: Counter[str] = Counter()
     for row in sorted(rows, key=lambda row: (str(row["kind"]), float(row["t_from_s"]))):
@@ -84,33 +88,37 @@ def picture_of(row: Mapping[str, Any], digest: str) -> str:
 
 def event_picture(scenario: Scenario, trace: Trace, row: Mapping[str, Any]) -> Chart:
     """The scene at the middle of an event, and the speeds around it."""
-    begin, end, first, last = (
-        float(t) for t in (row["t_from_s"], row["t_to_s"], trace.ego.t[0], trace.ego.t[-1])
-    )
+    kind, agents = str(row["kind"]), list(row["agents"])
+    begin, end = float(row["t_from_s"]), float(row["t_to_s"])
+    first, last = float(trace.ego.t[0]), float(trace.ego.t[-1])
     middle = min(max(0.5 * (begin + end), first), last)
-    agents = list(row["agents"])
-    words = str(row["kind"]).replace("_", " ")
+    words = kind.replace("_", " ")
     subject = SceneSubject(Moment(middle, "as asked"), trace, scenario)
     above = scene(subject, middle, words, agents)
+    caption = f"{kind} at {begin:.1f} s, of {', '.join(map(str, agents)) or 'the ego alone'}"
+    curves = _speed_curves(scenario, trace, agents, begin - AROUND_S, end + AROUND_S)
+    if not curves:
+        return replace(above, name=kind, title=words, says=caption)
+    panel = Panel("speed", "Speed [m/s]", curves, LEAST_SPAN_MPS, floor=0.0)
+    span = max(begin - AROUND_S, first), max(min(end + AROUND_S, last), first + LEAST_SPAN_S)
+    below = panel_chart(panel, span, [Span(begin, end, "", words)], shade="calm")
+    return stacked([above, below], kind, words, caption)
 
-    inside = (trace.ego.t >= begin - AROUND_S) & (trace.ego.t <= end + AROUND_S)
-    curves = [Curve("ego", "ego", trace.ego.t[inside], np.abs(trace.ego.v[inside]))]
-    if agents and agents[0] in scenario.tracks.ids:
-        tracks = scenario.tracks
+
+def _speed_curves(
+    scenario: Scenario, trace: Trace, agents: Sequence[str], begin: float, end: float
+) -> tuple[Curve, ...]:
+    """The speeds of the ego and of the first agent within a time, s; those that are known there."""
+    ego, tracks = trace.ego, scenario.tracks
+    inside = (ego.t >= begin) & (ego.t <= end)
+    curves = [Curve("ego", "ego", ego.t[inside], np.abs(ego.v[inside]))]
+    if agents and agents[0] in tracks.ids:
         samples = tracks.samples(tracks.ids.index(agents[0]))
         t = tracks.t[samples]
         speed = np.hypot(tracks.motion.vx[samples], tracks.motion.vy[samples])
-        near = (t >= begin - AROUND_S) & (t <= end + AROUND_S)
-        curves.append(Curve("other", scenario.short_names(agents[0]), t[near], speed[near]))
-    panel = Panel(
-        "speed", "Speed [m/s]", tuple(curve for curve in curves if len(curve.known)), 2.0, floor=0.0
-    )
-    caption = f"{row['kind']} at {begin:.1f} s, of {', '.join(map(str, agents)) or 'the ego alone'}"
-    if not panel.curves:
-        return replace(above, name=str(row["kind"]), title=words, says=caption)
-    span = max(begin - AROUND_S, first), max(min(end + AROUND_S, last), first + 0.1)
-    below = panel_chart(panel, span, [Span(begin, end, "", words)], shade="calm")
-    return stacked([above, below], str(row["kind"]), words, caption)
+        inside = (t >= begin) & (t <= end)
+        curves.append(Curve("other", scenario.short_names(agents[0]), t[inside], speed[inside]))
+    return tuple(curve for curve in curves if len(curve.known))
 
 
 def write_events_page(folder: Path, events: pd.DataFrame, logs: pd.DataFrame) -> None:

@@ -25,7 +25,7 @@ from replan.config import RunConfig, dump_run
 from replan.core.errors import ConfigError, LogError, ReplanError, described
 from replan.core.kernel import is_cache_cold
 from replan.core.names import counted, told_apart
-from replan.draw.drawn_scene import Marker
+from replan.draw.markers import Marker
 from replan.logs.road import RoadSource
 from replan.logs.scenario import Scenario
 from replan.metrics import health

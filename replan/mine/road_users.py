@@ -281,106 +281,124 @@ def _crossing(
 _NEAR = f"within {HEADWAY_S:g} s or {HEADWAY_M:g} m"
 ROAD_USERS = (
     EventKind(
-        "cut_in",
-        _cut_in,
-        "A vehicle or cyclist that moves along the ego's path comes sideways into the ego's band "
-        f"ahead of it, {_NEAR}, after {AROUND_S:g} s outside, and stays for {AROUND_S:g} s. From "
-        f"then, for {AROUND_S:g} s.",
-        "gap when it comes in",
-        "m",
-        "UN R157 (cutting-in vehicle); Waymo's scenario tags (cut-ins)",
+        name="cut_in",
+        find=_cut_in,
+        meaning=(
+            "A vehicle or cyclist that moves along the ego's path comes sideways into the ego's "
+            f"band ahead of it, {_NEAR}, after {AROUND_S:g} s outside, and stays for {AROUND_S:g} "
+            f"s. From then, for {AROUND_S:g} s."
+        ),
+        measures="gap when it comes in",
+        unit="m",
+        source="UN R157 (cutting-in vehicle); Waymo's scenario tags (cut-ins)",
     ),
     EventKind(
-        "cut_out",
-        _cut_out,
-        f"The lead, {_NEAR} ahead, leaves the band sideways after {AROUND_S:g} s in it, and stays "
-        f"out for {AROUND_S:g} s. From {AROUND_S:g} s before it is out.",
-        "gap when it is out",
-        "m",
-        "UN R157 (cut-out)",
+        name="cut_out",
+        find=_cut_out,
+        meaning=(
+            f"The lead, {_NEAR} ahead, leaves the band sideways after {AROUND_S:g} s in it, and "
+            f"stays out for {AROUND_S:g} s. From {AROUND_S:g} s before it is out."
+        ),
+        measures="gap when it is out",
+        unit="m",
+        source="UN R157 (cut-out)",
     ),
     EventKind(
-        "lead_braking",
-        _lead_braking,
-        f"The lead, within {LEAD_S:g} s or {LEAD_M:g} m, brakes with {BRAKES_MPS2:g} m/s2 or more "
-        f"for {BRAKES_S} s.",
-        "its least acceleration",
-        "m/s2",
-        "UN R157 (braking lead); the bound is ours",
-        JUMPS,
+        name="lead_braking",
+        find=_lead_braking,
+        meaning=(
+            f"The lead, within {LEAD_S:g} s or {LEAD_M:g} m, brakes with {BRAKES_MPS2:g} m/s2 or "
+            f"more for {BRAKES_S} s."
+        ),
+        measures="its least acceleration",
+        unit="m/s2",
+        source="UN R157 (braking lead); the bound is ours",
+        doubted=JUMPS,
     ),
     EventKind(
-        "ego_slows",
-        _ego_slows,
-        f"The ego slows down by {SLOWED_MPS:g} m/s and {SLOWED:.0%} or more, with {SLOWS_MPS2:g} "
-        "m/s2 for"
-        f" {SLOWS_S:g} s, behind a lead within {LEAD_S:g} s or {LEAD_M:g} m for most of it.",
-        "decrease of its speed",
-        "m/s",
-        "",
+        name="ego_slows",
+        find=_ego_slows,
+        meaning=(
+            f"The ego slows down by {SLOWED_MPS:g} m/s and {SLOWED:.0%} or more, with "
+            f"{SLOWS_MPS2:g} m/s2 for {SLOWS_S:g} s, behind a lead within {LEAD_S:g} s or "
+            f"{LEAD_M:g} m for most of it."
+        ),
+        measures="decrease of its speed",
+        unit="m/s",
     ),
     EventKind(
-        "standing_queue",
-        _standing_queue,
-        f"{QUEUE} vehicles or more stand (below {QUEUE_MPS} m/s) one behind the other in the band, "
-        "less than"
-        f" {QUEUE_GAP_M:g} m apart, the first within {QUEUE_AHEAD_M:g} m ahead, for {QUEUE_S:g} s.",
-        "how many",
-        "1",
-        "",
+        name="standing_queue",
+        find=_standing_queue,
+        meaning=(
+            f"{QUEUE} vehicles or more stand (below {QUEUE_MPS} m/s) one behind the other in the "
+            f"band, less than {QUEUE_GAP_M:g} m apart, the first within {QUEUE_AHEAD_M:g} m ahead, "
+            f"for {QUEUE_S:g} s."
+        ),
+        measures="how many",
+        unit="1",
     ),
     EventKind(
-        "oncoming",
-        _oncoming,
-        "A vehicle or cyclist comes towards the ego in its band, heading within 20 degrees of the "
-        f"opposite direction, less than {ONCOMING_AHEAD_M:g} m ahead, for {ONCOMING_S:g} s.",
-        "least gap",
-        "m",
-        "",
+        name="oncoming",
+        find=_oncoming,
+        meaning=(
+            "A vehicle or cyclist comes towards the ego in its band, heading within 20 degrees of "
+            f"the opposite direction, less than {ONCOMING_AHEAD_M:g} m ahead, for {ONCOMING_S:g} s."
+        ),
+        measures="least gap",
+        unit="m",
     ),
     EventKind(
-        "cyclist_along",
-        _cyclist_along,
-        f"A cyclist rides in the ego's direction, beside it or up to {CYCLIST_AHEAD_M:g} m ahead, "
-        f"less than {CYCLIST_BESIDE_M:g} m beside the band, for {CYCLIST_S:g} s.",
-        "least room to the side",
-        "m",
-        "nuPlan's scenario tags (behind_bike); Waymo's (cyclists)",
+        name="cyclist_along",
+        find=_cyclist_along,
+        meaning=(
+            f"A cyclist rides in the ego's direction, beside it or up to {CYCLIST_AHEAD_M:g} m "
+            f"ahead, less than {CYCLIST_BESIDE_M:g} m beside the band, for {CYCLIST_S:g} s."
+        ),
+        measures="least room to the side",
+        unit="m",
+        source="nuPlan's scenario tags (behind_bike); Waymo's (cyclists)",
     ),
     EventKind(
-        "close_pass",
-        _close_pass,
-        f"The ego passes, faster than {PASS_MPS:g} m/s, with less than {PASS_M} m of room to the "
-        f"side, or less than {PASS_VULNERABLE_M} m to a pedestrian or rider.",
-        "least room",
-        "m",
-        "StVO 5 (4): 1.5 m in towns beside pedestrians and cyclists; 0.5 m is ours",
+        name="close_pass",
+        find=_close_pass,
+        meaning=(
+            f"The ego passes, faster than {PASS_MPS:g} m/s, with less than {PASS_M} m of room to "
+            f"the side, or less than {PASS_VULNERABLE_M} m to a pedestrian or rider."
+        ),
+        measures="least room",
+        unit="m",
+        source="StVO 5 (4): 1.5 m in towns beside pedestrians and cyclists; 0.5 m is ours",
     ),
     EventKind(
-        "pedestrian_crossing",
-        _crossing,
-        "A pedestrian walks into the band ahead of the ego, which comes there within "
-        f"{CROSSING_S:g} s, or waits (below {WAITS_MPS:g} m/s) less than {CROSSING_AHEAD_M:g} m "
-        "before it. While they are in the band.",
-        "least gap",
-        "m",
-        "nuPlan's scenario tags (near_pedestrian_on_crosswalk, waiting_for_pedestrian_to_cross)",
+        name="pedestrian_crossing",
+        find=_crossing,
+        meaning=(
+            "A pedestrian walks into the band ahead of the ego, which comes there within "
+            f"{CROSSING_S:g} s, or waits (below {WAITS_MPS:g} m/s) less than {CROSSING_AHEAD_M:g} "
+            "m before it. While they are in the band."
+        ),
+        measures="least gap",
+        unit="m",
+        source=(
+            "nuPlan's scenario tags (near_pedestrian_on_crosswalk, waiting_for_pedestrian_to_cross)"
+        ),
     ),
     EventKind(
-        "cyclist_crossing",
-        partial(_crossing, kind=AgentKind.BICYCLE),
-        "The same of a cyclist, who moves across the ego's path, by 45 degrees or more.",
-        "least gap",
-        "m",
-        "",
+        name="cyclist_crossing",
+        find=partial(_crossing, kind=AgentKind.BICYCLE),
+        meaning="The same of a cyclist, who moves across the ego's path, by 45 degrees or more.",
+        measures="least gap",
+        unit="m",
     ),
     EventKind(
-        "jaywalking",
-        partial(_crossing, off_crosswalks=True),
-        f"A pedestrian crossing with the pedestrian more than {BESIDE_CROSSWALK_M:g} m from any "
-        "crosswalk for most of it; asked where the map has crosswalks.",
-        "least gap",
-        "m",
-        "RefAV (Argoverse 2 scenario mining: jaywalking)",
+        name="jaywalking",
+        find=partial(_crossing, off_crosswalks=True),
+        meaning=(
+            f"A pedestrian crossing with the pedestrian more than {BESIDE_CROSSWALK_M:g} m from "
+            "any crosswalk for most of it; asked where the map has crosswalks."
+        ),
+        measures="least gap",
+        unit="m",
+        source="RefAV (Argoverse 2 scenario mining: jaywalking)",
     ),
 )

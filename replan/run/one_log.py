@@ -194,9 +194,9 @@ def _describe_log(
         write_scenario(path, scenario)
     digest = file_hash(path)
     if run.foxglove and path.parent == folder:
-        from replan.draw.foxglove import scenario_channels
+        from replan.draw.foxglove import scenario_messages
 
-        write_scenario(path, scenario, beside=scenario_channels(scenario))
+        write_scenario(path, scenario, beside=scenario_messages(scenario))
     name = safe_name(scenario.name, digest)
     findings = health.findings(scenario)
     notes = (*map(scenario.short_names, scenario.notes), *health.sentences(findings))
@@ -295,9 +295,9 @@ def _drive_one(
         shown = steps.table([stored[name] for name in MEASURED if name in stored])
         beside: Iterable[Entry] = ()
         if run.foxglove:
-            from replan.draw.foxglove import trace_channels
+            from replan.draw.foxglove import trace_messages
 
-            beside = trace_channels(drive.trace, scenario)
+            beside = trace_messages(drive.trace, scenario)
         write_trace(
             Path(f"{file}.mcap"), drive.trace, scenario, internals=run.internals, beside=beside
         )

@@ -6,9 +6,9 @@
 (2) subject to the prediction and limits of `replan.replay.control.mpc_model` (deviations from exact
     following of the plan)
 
-The plan is resampled by quintic polynomials (`mpc_model` (7)). The weights apply to the differences
-from the inputs of exact following, because weights on the inputs themselves would pull the ego off
-a plan that accelerates.
+The plan is resampled by quintic polynomials (`plan_resampling`). The weights apply to the
+differences from the inputs of exact following, because weights on the inputs themselves would pull
+the ego off a plan that accelerates.
 
 One solve per `period_s` (20 Hz), warm-started; between two the steering goes on at the solved rate
 and the acceleration is held. The actuators' lag is in the prediction of the acceleration and is
@@ -68,11 +68,12 @@ from replan.replay.control.mpc_model import (
     SIDES,
     SIGMA,
     STATES,
+    PedalLags,
     entered,
     limits,
     predicted,
-    resampled,
 )
+from replan.replay.control.plan_resampling import resampled
 from replan.replay.vehicle.base import Controller, Powertrain
 from replan.replay.vehicle.drivetrain import SHORTEST_LAG_S
 from replan.replay.vehicle.plan_path import Deviation, PlanPath, Tracker
@@ -348,7 +349,7 @@ class Mpc:
         config, delay = self._config, self._delay
         p, v = self._p, state.v
         train = self._train.pedal_map
-        lags = (train.throttle_lag, train.brake_lag, self._train.coasting(v))
+        lags = PedalLags(train.throttle_lag, train.brake_lag, self._train.coasting(v))
         along = entered(
             path.times,
             path.knots,

@@ -9,7 +9,7 @@ import select
 import struct
 import time
 from contextlib import suppress
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Literal, TypeVar
 
 import msgspec
 
@@ -41,23 +41,36 @@ class GarbageError(Exception):
 class Channel(Generic[T]):
     """Sends any message, and receives messages of one type.
 
-    `into`: descriptor from which the other side reads. `stderr`: descriptor to which it prints,
-    read meanwhile so that it never blocks; -1: none. `patient`: whether this side waits without
-    deadlines, as a planner does.
+    Args:
+        into: The descriptor from which the other side reads.
+        out: The descriptor to which the other side writes.
+        kind: The type of the messages that come.
+        stderr: The descriptor to which the other side prints, read meanwhile so that it never
+            blocks; -1: none.
+        side: This side. "replan" has descriptors that do not block, keeps deadlines, sends arrays
+            as bytes, and refuses messages above `LARGEST_BYTES`; "planner" has descriptors that
+            block, waits for ever, sends numbers of NumPy as numbers, and takes messages of any
+            size.
     """
 
     def __init__(
-        self, into: int, out: int, kind: Any, stderr: int = -1, *, patient: bool = False
+        self,
+        into: int,
+        out: int,
+        kind: Any,
+        stderr: int = -1,
+        *,
+        side: Literal["replan", "planner"] = "replan",
     ) -> None:
         self._into, self._out, self._stderr = into, out, stderr
         self._encoder = msgspec.msgpack.Encoder(
-            enc_hook=scalar_as_number if patient else array_as_bytes
+            enc_hook=scalar_as_number if side == "planner" else array_as_bytes
         )
         self._decoder = msgspec.msgpack.Decoder(kind, dec_hook=array_of)
         self._buffer, self._filled, self.printed = bytearray(PIPE_BYTES), 0, b""
-        self._patient = patient
+        self._side = side
         for fd in {into, out, stderr} - {-1}:
-            os.set_blocking(fd, patient)
+            os.set_blocking(fd, side == "planner")
             widen(fd)
 
     def send(self, message: msgspec.Struct, deadline: float = float("inf")) -> None:
@@ -67,19 +80,19 @@ class Channel(Generic[T]):
         TypeError if a value cannot be sent.
         """
         payload = self._encoder.encode(message)
-        left = [memoryview(HEADER.pack(len(payload))), memoryview(payload)]
-        while left:
+        unsent = [memoryview(HEADER.pack(len(payload))), memoryview(payload)]
+        while unsent:
             try:
-                sent = os.writev(self._into, left)
+                sent = os.writev(self._into, unsent)
             except BlockingIOError:
                 self._wait(self._into, select.POLLOUT, deadline)
                 continue
             except OSError:
                 raise GoneError from None
-            while left and sent >= len(left[0]):
-                sent -= len(left.pop(0))
-            if left:
-                left[0] = left[0][sent:]
+            while unsent and sent >= len(unsent[0]):
+                sent -= len(unsent.pop(0))
+            if unsent:
+                unsent[0] = unsent[0][sent:]
 
     def receive(self, deadline: float = float("inf")) -> T:
         """The next message before the deadline.
@@ -89,7 +102,7 @@ class Channel(Generic[T]):
         """
         self._read(HEADER.size, deadline)
         (size,) = HEADER.unpack_from(self._buffer)
-        if size > LARGEST_BYTES and not self._patient:
+        if size > LARGEST_BYTES and self._side == "replan":
             problem = f"a message of {size} bytes, more than {LARGEST_BYTES}"
             raise GarbageError(
                 f"{problem} (keep less inside of plans, or give a smaller loop.apart.batch)"
@@ -115,7 +128,7 @@ class Channel(Generic[T]):
         if size > len(self._buffer):
             self._buffer = self._buffer.ljust(size, b"\0")
         while self._filled < size:
-            if not self._patient:
+            if self._side == "replan":
                 self._wait(self._out, select.POLLIN, deadline)
             try:
                 came = os.readv(self._out, [memoryview(self._buffer)[self._filled :]])
@@ -132,10 +145,10 @@ class Channel(Generic[T]):
             poll.register(fd, event)
             if self._stderr >= 0:
                 poll.register(self._stderr, select.POLLIN)
-            left = deadline - time.monotonic()
-            if left <= 0.0:
+            left_s = deadline - time.monotonic()
+            if left_s <= 0.0:
                 raise LateError
-            ready = dict(poll.poll(None if left == float("inf") else 1e3 * left))
+            ready = dict(poll.poll(None if left_s == float("inf") else 1e3 * left_s))
             if self._stderr in ready:
                 self.read_printed()
             if fd in ready:

@@ -29,7 +29,7 @@ from replan.replay.planner_process.planner_config import of_class, planner_part,
 
 def main() -> None:
     """Answer the messages on stdin until it closes."""
-    channel: Channel[Any] = Channel(os.dup(1), os.dup(0), messages.Question, patient=True)
+    channel: Channel[Any] = Channel(os.dup(1), os.dup(0), messages.Question, side="planner")
     _redirect_streams()
     try:
         PlannerServer(channel).serve()

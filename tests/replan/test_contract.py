@@ -2,6 +2,7 @@
 broken alone.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import contract_breakers
@@ -84,6 +85,14 @@ def test_a_reader_that_breaks_a_rule_is_found_by_it_alone(rule: str, txy: Path) 
     with pytest.raises(replan.ContractError) as found:
         replan.check_reader(contract_breakers.READERS[rule], txy)
     assert found.value.broken == (rule,)
+
+
+def test_a_reader_that_raises_when_its_files_are_asked_again_breaks_a_rule(txy: Path) -> None:
+    answers = iter([(txy,)])
+    reader = replace(contract_breakers.TXY, files=lambda path: next(answers))
+    with pytest.raises(replan.ContractError) as found:
+        replan.check_reader(reader, txy)
+    assert "files" in found.value.broken
 
 
 def test_a_reader_is_named_or_an_object(txy: Path) -> None:

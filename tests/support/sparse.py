@@ -62,7 +62,7 @@ LATER = {
     "replan/cli/test_exit_codes.py::test_exit_codes": Kept(7, cost_s=24, cases=48),
     "replan/cli/test_exit_codes.py::test_a_signal_before_and_in_a_command_ends_it_with_130_and_after_it_changes_nothing": Kept(0, cost_s=4),
     "replan/cli/test_streams.py::test_exit_codes_with_closed_streams_are_those_with_open_ones": Kept(0, cost_s=7),
-    "replan/cli/test_words.py::test_json_is_one_document_and_says_what_the_words_say": Kept(4, cost_s=7, cases=11),
+    "replan/cli/test_json_output.py::test_json_is_one_document_with_the_names_of_the_words": Kept(4, cost_s=7, cases=11),
     "replan/cli/test_export.py::test_a_run_is_written_whole_and_other_logs_are_named": Kept(0, cost_s=4),
     "replan/cli/test_cli.py::test_log_planner_and_mode_choose_the_same_drives_in_every_command": Kept(0, cost_s=3),
     "replan/cli/test_cli.py::test_the_report_says_what_the_exit_code_says_and_why": Kept(2, cost_s=5, cases=3),

@@ -20,7 +20,7 @@ import rerun as rr
 
 from replan.core.arrays import FloatArray
 from replan.core.memory import trim_memory
-from replan.draw.drawn_scene import Marker
+from replan.draw.markers import Marker
 from replan.draw.panels import panels, stage_panel, steps_of
 from replan.draw.plan_graphs import SL, ST, DrawnGraph, GraphKind
 from replan.draw.recording import pages, plots

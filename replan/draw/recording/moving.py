@@ -24,7 +24,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from replan.core.arrays import FloatArray, IntArray
-from replan.draw.drawn_scene import decided, in_full, plan_seconds
+from replan.draw.drawn_scene import decided, plan_seconds, rows_in_full
 from replan.draw.recording import colours
 from replan.draw.recording.plots import places
 from replan.draw.recording.road_layer import (
@@ -140,7 +140,7 @@ def draw_moving(
     ):
         agents = trace.agents.truth(float(t))
         in_force = decisions[min(int(frame) - begin, len(decisions) - 1)]
-        full = in_full(agents.ids, agents.x, agents.y, in_force, (x, y))
+        full = rows_in_full(agents.ids, agents.x, agents.y, in_force, (x, y))
         scene.append(SceneInstant(agents, full, in_force, (x, y, heading)))
     for kind in AgentKind:
         if kind in kinds:
@@ -375,7 +375,7 @@ def futures(frame: PlannedFrame, x: float, y: float) -> list[tuple[str, float, F
     near = np.hypot(xs[:, 0] - x, ys[:, 0] - y) <= NEAR_M
     agents, first = np.unique(predictions.agent, return_index=True)
     ids = [frame.agents[agent] for agent in agents]
-    full = in_full(ids, xs[first, 0], ys[first, 0], decided(frame.plan), (x, y))
+    full = rows_in_full(ids, xs[first, 0], ys[first, 0], decided(frame.plan), (x, y))
     reach = np.hypot(xs - xs[:, :1], ys - ys[:, :1]).max(axis=1)
     is_full = np.isin(predictions.agent, agents[full])
     return [

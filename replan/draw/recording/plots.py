@@ -18,7 +18,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from replan.core.arrays import FloatArray
-from replan.draw.drawn_scene import Marker
+from replan.draw.markers import Marker
 from replan.draw.panels import Panel
 from replan.draw.plan_graphs import SL, ST
 from replan.draw.recording import colours

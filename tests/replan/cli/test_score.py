@@ -126,6 +126,21 @@ def test_a_file_of_trajectories_has_the_scores_of_the_original(place: Path) -> N
     assert again["dp_qp"].iloc[0] == pytest.approx(names["dp_qp", 4.0], abs=1e-3)
 
 
+def test_a_long_table_of_two_stages_is_shown_by_its_means(
+    place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("replan.cli.score.MOST_ROWS", 1)
+    plans = pd.read_csv(place / "plans.csv")
+    plans = plans[(plans.drive == "idm") & plans.t_s.isin([4.0, 6.0])]
+    follows = plans.t_s.map({4.0: None, 6.0: "first"})
+    tokens = plans.t_s.map({4.0: "first", 6.0: "second"})
+    plans.assign(token=tokens, stage_one=follows).to_csv(tmp_path / "staged.csv", index=False)
+    words = ("--trajectories", tmp_path / "staged.csv", "--as", "navsim-v2")
+    shown = replan("score", place / "logs", *words).output
+    for mean in ("stage_one", "stage_two", "combined"):
+        assert f"extended_pdm_score_{mean}" in shown.partition("Not exact:")[0]
+
+
 @pytest.mark.parametrize(
     ("change", "says"),
     [

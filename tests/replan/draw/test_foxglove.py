@@ -39,9 +39,9 @@ RED, YELLOW, GREEN, GREY = (255, 75, 60), (255, 210, 80), (80, 220, 120), (120, 
 
 
 def written(path: Path, what: Scenario) -> Path:
-    from replan.draw.foxglove import scenario_channels
+    from replan.draw.foxglove import scenario_messages
 
-    write_scenario(path, what, beside=scenario_channels(what))
+    write_scenario(path, what, beside=scenario_messages(what))
     return path
 
 
@@ -198,13 +198,13 @@ def test_every_message_shows_all_of_its_topic(tmp_path: Path) -> None:
 
 @needs_schemas
 def test_a_trace_shows_its_plans(tmp_path: Path) -> None:
-    from replan.draw.foxglove import trace_channels
+    from replan.draw.foxglove import trace_messages
 
     log = CATALOGUE["paper/free_road"].scenario()
     trace = run_closed_loop(log, "constant_speed").trace
     path = tmp_path / "closed.mcap"
     write_trace(tmp_path / "plain.mcap", trace, log)
-    write_trace(path, trace, log, beside=trace_channels(trace, log))
+    write_trace(path, trace, log, beside=trace_messages(trace, log))
     assert differences(read_scenario(tmp_path / "plain.mcap"), read_scenario(path)) == []
     shown = decoded(path)
     assert len(shown["/foxglove/plan"]) == len(shown["/foxglove/plan_line"]) == len(trace.frames)

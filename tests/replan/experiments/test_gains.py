@@ -8,18 +8,11 @@ import pytest
 from hypothesis import given, strategies as st
 
 from replan.core.errors import ConfigError
-from replan.experiments.gains import (
-    LEAST_LOGS,
-    Objective,
-    gains,
-    held_out,
-    is_dominated,
-    mean_gain,
-    objectives,
-    scales,
-)
+from replan.experiments.gains import Objective, gains, is_dominated, mean_gain, objectives, scales
+from replan.experiments.held_out import held_out
 from replan.metrics import METRICS
 from replan.metrics.judge.aggregate import LogLabels
+from replan.metrics.resampling import MIN_SIGNIFICANT
 
 NAMES = st.dictionaries(
     st.text("abcdefgh", min_size=1, max_size=6), st.sampled_from(["a", "b", "c", ""]), max_size=40
@@ -40,7 +33,7 @@ def test_a_gain_is_the_improvement_as_a_share_of_the_defaults() -> None:
 def test_a_gain_on_every_log_is_better_and_its_mirror_is_not(seed: int, gain: float) -> None:
     drawn = gain * np.random.default_rng(seed).uniform(0.5, 1.5, (1, 8))
     assert mean_gain(drawn).holds and not mean_gain(-drawn).holds
-    assert not mean_gain(drawn[:, : LEAST_LOGS - 1]).holds
+    assert not mean_gain(drawn[:, : MIN_SIGNIFICANT - 1]).holds
 
 
 def test_noise_is_not_better_but_by_chance() -> None:

@@ -20,7 +20,7 @@ from replan.logs.scenario import Scenario
 from replan.replay.loop.open_loop import run_open_loop
 from replan.replay.loop_config import DEFAULT_LOOP
 from replan.score.navsim import VERSIONS, fitted, human_poses, simulated, window_at
-from replan.score.score_table import plans_of_trace
+from replan.score.submitted_plans import plans_of_trace
 from replan.score.yardstick import ScoredPlan, scored, total
 
 VALUES = Path(__file__).parents[2] / "support" / "leaderboards"

@@ -15,15 +15,9 @@ from replan.logs.catalogue import scenario as catalogue
 from replan.logs.edit.transform import moved
 from replan.logs.scenario import Scenario
 from replan.score.navsim import human_poses, window_at
-from replan.score.score_table import (
-    COMBINED,
-    STAGE_ONE,
-    STAGE_TWO,
-    SubmittedPlan,
-    navsim_table,
-    plans_of_table,
-    weights,
-)
+from replan.score.navsim_table import navsim_table
+from replan.score.submitted_plans import SubmittedPlan, plans_of_table
+from replan.score.two_stages import COMBINED, STAGE_ONE, STAGE_TWO, weights
 
 PLACES = st.lists(st.tuples(*[st.floats(-3.0, 3.0)] * 2), min_size=1, max_size=6)
 

@@ -25,12 +25,12 @@ from replan.replay.control.mpc_model import (
     SIDES,
     STATES,
     EnteredPlan,
+    PedalLags,
     entered,
     limits,
     predicted,
-    quintic,
-    resampled,
 )
+from replan.replay.control.plan_resampling import quintic, resampled
 from replan.replay.vehicle.drivetrain import Drivetrain
 from replan.replay.vehicle.pedal_map import NO_MOTOR, PedalMap
 from replan.replay.vehicle.plan_path import PlanPath
@@ -51,7 +51,7 @@ def stage(plan: Trajectory, t: float, v: float, car: VehicleParameters = CAR) ->
         slip_table(car),
         car.wheelbase,
         (1.0, 1.0),
-        (0.2, 0.1, -0.1),
+        PedalLags(0.2, 0.1, -0.1),
         t,
         path.timed(t)[0],
         v,

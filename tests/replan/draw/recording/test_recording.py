@@ -18,7 +18,8 @@ from sample_drive import BLOCKED, LINE, drive, scenario, to_world
 
 from replan.core.arrays import FloatArray
 from replan.core.errors import ConfigError, OutputError
-from replan.draw.drawn_scene import NEAR_M, NEAREST, Marker, in_full
+from replan.draw.drawn_scene import NEAR_M, NEAREST, rows_in_full
+from replan.draw.markers import Marker
 from replan.draw.panels import MEASURED, panels
 from replan.draw.plan_graphs import ST
 from replan.draw.recording import colours, scene_times, write_log_recording, write_recording
@@ -696,7 +697,7 @@ def test_the_decided_and_the_nearest_are_drawn_in_full(
     where: list[tuple[float, float]], about: set[int]
 ) -> None:
     xy, ids = np.array(where).reshape(-1, 2), [f"a{i}" for i in range(len(where))]
-    full = in_full(ids, xy[:, 0], xy[:, 1], {f"a{i}" for i in about}, (0.0, 0.0)).tolist()
+    full = rows_in_full(ids, xy[:, 0], xy[:, 1], {f"a{i}" for i in about}, (0.0, 0.0)).tolist()
     assert full == sorted(set(full))
     if len(ids) <= NEAREST:
         assert full == list(range(len(ids)))

@@ -6,29 +6,26 @@ future, the upper bound for better predictions. Such a drive is marked as that o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from itertools import chain
 
 import numpy as np
 
-from replan.core.arrays import FloatArray, IntArray, frozen
-from replan.core.errors import LogError
-from replan.logs.agents import NUMBERS, Agents
+from replan.core.arrays import FloatArray
+from replan.logs.agents import Agents
 from replan.logs.frame import Frame, Predictions, Visibility
 from replan.logs.nearby_tracks import NearbyTracks
 from replan.logs.plan import Plan
-from replan.logs.repair.detections import Owners
 from replan.logs.scenario import Scenario
-from replan.logs.states import wrapped
 from replan.logs.tracks import Tracks
 from replan.replay.loop_config import LoopConfig
+from replan.replay.perception.recorded_agents import MOVED, Recorded
 from replan.replay.perception.sensor import Sensor
 from replan.replay.prediction import LaneMap, predict
 from replan.replay.world import World
 
 ORACLE = "oracle"
 """The prediction that is the log's own future."""
-MOVED = ("x", "y", "yaw", "vx", "vy")
 
 Sight = Callable[[World], tuple[Agents, Visibility | None]]
 """Returns the agents as the planner sees them, and the visible ground (None: all)."""
@@ -44,84 +41,6 @@ class GroundTruth:
         """Return the agents; nothing is hidden."""
         t = world.ego.t
         return self._around.of(world.tracks, t, t).perceived(t), None
-
-
-class Recorded:
-    """Shows the agents of one drive as the recorded perception detected them.
-
-    The tracker is causal (`replan.logs.repair.tracker`), and so are its names; a repaired track has
-    the name that the tracker uses longest for it (`replan.logs.repair.detections`). The detections
-    are those of the log, but in closed loop the traffic moves the others differently. Known road
-    users are therefore shown at their positions in the world,
-
-    (1) shown = tracked + (world - log),
-            of x, y, yaw, vx, vy at the frame's time; both as `Tracks.perceived`
-
-    - A track that belongs to no road user of the log is a false alarm of the recorded perception;
-      it is shown unchanged.
-    - An agent that is present now in the log but not in the world is not shown.
-    - An agent that is present now in the world but not in the log (inserted, or later than
-      recorded), and a static agent, is shown as in ground truth: it has no detections.
-
-    Later data are used only to find the road user of a track: the log's tracks are smoothed.
-
-    Args:
-        scenario: Its `repair` has the detections.
-
-    Raises:
-        LogError: It has no detections.
-    """
-
-    def __init__(self, scenario: Scenario) -> None:
-        if scenario.repair is None:
-            remedy = "take perception auto or ground_truth, or read the log with repair on"
-            raise LogError(
-                "perception recorded needs a log whose road users are made of detections",
-                remedy=remedy,
-            )
-        self._log, self._tracked = scenario.repair.tracks, scenario.repair.detections.tracked
-        self._owners, self._around, self._around_log = Owners(), NearbyTracks(), NearbyTracks()
-
-    def see(self, world: World) -> tuple[Agents, None]:
-        """Return the agents; no ground is known to be hidden."""
-        t = world.ego.t
-        known = self._tracked.at(t)
-        log = self._around_log.of(self._log, t, t).perceived(t)
-        owners = self._owners.of(known, log)
-        if world.tracks is self._log:
-            now, shown = log, known
-        else:
-            now = self._around.of(world.tracks, t, t).perceived(t)
-            world_row = {name: i for i, name in enumerate(now.ids)}
-            log_row = {name: i for i, name in enumerate(log.ids)}
-            rows = [i for i, name in enumerate(owners) if name not in log_row or name in world_row]
-            both = [row for row, i in enumerate(rows) if owners[i] in log_row]
-            in_world = _rows(world_row[owners[rows[row]]] for row in both)
-            in_log = _rows(log_row[owners[rows[row]]] for row in both)
-            shown = known.some(_rows(rows))
-            columns = np.array([getattr(shown, name) for name in NUMBERS])
-            for name in MOVED:  # (1)
-                change = getattr(now, name)[in_world] - getattr(log, name)[in_log]
-                columns[NUMBERS.index(name), both] += wrapped(change) if name == "yaw" else change
-            shown = Agents.of_rows(shown.ids, shown.kinds, columns, shown.codes)
-        static = {
-            name for name, still in zip(world.tracks.ids, world.tracks.static, strict=True) if still
-        }
-        logged = set(log.ids)
-        others = [i for i, name in enumerate(now.ids) if name in static or name not in logged]
-        if not others:
-            return shown, None
-        more = now.some(_rows(others))
-        shown = shown.some(_rows(i for i, name in enumerate(shown.ids) if name not in more.ids))
-        columns = np.array([np.r_[getattr(shown, name), getattr(more, name)] for name in NUMBERS])
-        codes = frozen(np.r_[shown.codes, more.codes], np.int64)
-        return Agents.of_rows(
-            (*shown.ids, *more.ids), (*shown.kinds, *more.kinds), columns, codes
-        ), None
-
-
-def _rows(places: Iterable[int]) -> IntArray:
-    return np.array(list(places), np.int64)
 
 
 def shows_truth(perception: str, scenario: Scenario) -> bool:
@@ -178,8 +97,8 @@ class Perception:
         if self.is_oracle:
             notes.append("the predictions are the log's own future, which no planner could know")
         if not self._true:
-            recorded = config.perception in ("auto", "recorded")
-            sight = "as recorded" if recorded else f"through a {config.perception}"
+            is_recorded = config.perception in ("auto", "recorded")
+            sight = "as recorded" if is_recorded else f"through a {config.perception}"
             notes.append(f"the planner sees the others {sight}")
         self.notes = tuple(notes)
 
@@ -222,10 +141,7 @@ class Perception:
             return Tracks.empty()
         first = [samples[0] for samples in rows.values()]
         samples = [*chain.from_iterable(rows.values())]
-        columns = (
-            np.array([getattr(a, name)[i] for _, a, i in samples])
-            for name in ("x", "y", "yaw", "vx", "vy")
-        )
+        columns = (np.array([getattr(a, name)[i] for _, a, i in samples]) for name in MOVED)
         return Tracks(
             tuple(rows),
             tuple(a.kinds[i] for _, a, i in first),

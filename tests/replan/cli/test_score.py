@@ -131,9 +131,9 @@ def test_a_long_table_of_two_stages_is_shown_by_its_means(
 ) -> None:
     monkeypatch.setattr("replan.cli.score.MOST_ROWS", 1)
     plans = pd.read_csv(place / "plans.csv")
-    plans = plans[(plans.drive == "idm") & plans.t_s.isin([4.0, 6.0])]
-    follows = plans.t_s.map({4.0: None, 6.0: "first"})
-    tokens = plans.t_s.map({4.0: "first", 6.0: "second"})
+    plans = plans[(plans.drive == "idm") & plans.t_s.isin([2.0, 6.0])]
+    follows = plans.t_s.map({2.0: None, 6.0: "first"})
+    tokens = plans.t_s.map({2.0: "first", 6.0: "second"})
     plans.assign(token=tokens, stage_one=follows).to_csv(tmp_path / "staged.csv", index=False)
     words = ("--trajectories", tmp_path / "staged.csv", "--as", "navsim-v2")
     shown = replan("score", place / "logs", *words).output

@@ -20,6 +20,7 @@ from replan.logs.frame import Predictions
 from replan.logs.plan import DecisionKind, StGraph
 from replan.logs.rules import Colour
 from replan.logs.scenario import Scenario
+from replan.logs.shapes import corners
 from replan.logs.trace import PlannedFrame, Trace
 from replan.logs.tracks import Tracks
 from replan.planners.frenet.scene import Bodies, Futures
@@ -33,6 +34,9 @@ STEP_S = 0.25
 """Interval between two times at which a box is compared with the path."""
 BEYOND_M = 15.0
 """The path is extended by this length: a plan that stops for an agent ends before it."""
+
+ROUNDS = 3
+"""The stations along a path are found in so many rounds, since offsets depend on them."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -124,11 +128,50 @@ def actual_occupancy(trace: Trace, scenario: Scenario) -> Iterator[list[FloatArr
             yield []
             continue
         plan_rows = path_rows(frame.plan.trajectory)[:4]
-        yaw = plan_rows[3, -1]
+        yaw = plan_rows[-1, -1]
         ahead = np.stack([beyond, beyond * np.cos(yaw), beyond * np.sin(yaw), 0.0 * beyond])
         path = np.ascontiguousarray(np.hstack([plan_rows, plan_rows[:, -1:] + ahead]))
         outlines = (_outline(trace.agents, rows[name], frame, path, end, ego) for name in names)
         yield [outline for outline in outlines if outline is not None]
+
+
+def true_boxes(trace: Trace, frame: PlannedFrame, line: FloatArray) -> Iterator[FloatArray]:
+    """The boxes of the agents as they really were at a frame, in its S-L graph, without any margin.
+
+    (1) heading of the reference line = yaw - delta, tan(delta) = dl/ds of `line`
+    (2) ds = cos(delta) d(arc) + l d(heading), along the path
+    (3) a corner = the nearest point of the path + its distance along and across the heading
+
+    Boxes that are more than `BEYOND_M` beyond the end of the path, from where (3) goes straight on,
+    are left out.
+
+    `line`: the path in the graph, station and offset `(n, 2)`, n > 1, m.
+
+    Yields:
+        Corners `(4, 2)`: station and lateral offset of the reference line, m.
+    """
+    arc, x, y, yaw, _ = path_rows(frame.plan.trajectory)
+    slope = np.gradient(line[:, 1], line[:, 0])
+    station = line[0, 0] + arc
+    for _ in range(ROUNDS):
+        offset = np.interp(station, line[:, 0], line[:, 1])
+        delta = np.arctan(np.interp(station, line[:, 0], slope))
+        heading = np.unwrap(yaw) - delta  # (1)
+        steps = _means(np.cos(delta)) * np.diff(arc) + _means(offset) * np.diff(heading)  # (2)
+        station = line[0, 0] + np.r_[0.0, np.cumsum(steps)]
+    agents = trace.agents.truth(frame.t)
+    columns = agents.x, agents.y, agents.yaw, agents.length, agents.width
+    for box in np.column_stack(columns).tolist():
+        points = corners(*box)
+        nearest = np.argmin(np.hypot(points[:, :1] - x, points[:, 1:] - y), axis=1)
+        dx, dy, turn = points[:, 0] - x[nearest], points[:, 1] - y[nearest], heading[nearest]
+        along, across = dx * np.cos(turn) + dy * np.sin(turn), dy * np.cos(turn) - dx * np.sin(turn)
+        if along.min() <= BEYOND_M:
+            yield np.column_stack([station[nearest] + along, offset[nearest] + across])  # (3)
+
+
+def _means(values: FloatArray) -> FloatArray:
+    return 0.5 * (values[1:] + values[:-1])
 
 
 def _outline(

@@ -13,6 +13,7 @@ from operator import attrgetter
 
 import numpy as np
 
+from replan.core.arrays import FloatArray
 from replan.core.names import ShortNames
 from replan.draw.charts.axes import LEFT_PX, Plane, rows_plane
 from replan.draw.charts.canvas import (
@@ -30,6 +31,7 @@ from replan.draw.drawn_scene import decided as plan_decisions
 from replan.draw.panels import Panel, compared_panels, panels
 from replan.draw.plan_graphs import SL, ST, DrawnGraph, GraphKind, graph_axes
 from replan.explain.explanation import STATUS_WORDS
+from replan.explain.planner_input import actual_occupancy, true_boxes
 from replan.logs.plan import PlanStatus, PlanSummary
 
 WIDTH_PX, HEIGHT_PX = 440.0, 168.0
@@ -329,6 +331,14 @@ def plan_graph(subject: SceneSubject, kind: GraphKind, why: str) -> Chart:
             inside += plane.area(
                 abscissas, ordinates, "ignored" if obstacle.is_ignored else "thing"
             )
+    boxes = list[FloatArray]()
+    if frame is not None and kind is SL and len(graph.qp) > 1:
+        boxes = list(true_boxes(subject.trace, frame, graph.qp))
+    elif frame is not None and kind is ST:
+        boxes = next(iter(actual_occupancy(subject.trace, subject.scenario)))
+    for box in boxes:
+        ring = np.vstack([box, box[:1]])
+        inside += plane.line(ring[:, 0], ring[:, 1], "c")
     for points, name in ((graph.dp, "dp"), (graph.qp, "qp")):
         inside += plane.line(points[:, 0], points[:, 1], name) if len(points) else ""
     entries = (
@@ -336,6 +346,7 @@ def plan_graph(subject: SceneSubject, kind: GraphKind, why: str) -> Chart:
         (len(graph.dp), ("line", "dp", "DP")),
         (graph.corridor, ("area", "room", "corridor")),
         (graph.obstacles, ("area", "thing", "obstacle")),
+        (boxes, ("line", "c", "true box")),
     )
     named = ", ".join(
         f"{obstacle.of.agent}: {obstacle.of.decision.value}" for obstacle in graph.obstacles

@@ -129,6 +129,13 @@ PLANTED: dict[str, tuple[str, Callable[[PlannedFrame], PlannedFrame], str]] = {
         "agents: truck 40 ",
     ),
     "a prediction": ("prediction", _elsewhere, "y of truck 40 in 4 s 0.00 -> 0.40 m"),
+    "a refusal": (
+        "contract",
+        lambda f: replace(
+            f, plan=replace(f.plan, status=PlanStatus.REFUSED, reason="it starts too slowly")
+        ),
+        "it starts too slowly",
+    ),
     "the start": (
         "start of the plan",
         _plan(v=lambda p: np.where(p.t == p.t[0], p.v + 0.5, p.v)),

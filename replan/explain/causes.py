@@ -39,6 +39,7 @@ from operator import attrgetter
 
 import numpy as np
 
+from replan.explain.contradictions import Contradiction, contradictions
 from replan.explain.course import (
     BRAKES_MPS2,
     LOOK_S,
@@ -183,6 +184,7 @@ class Account:
         causes: Causes of slowing down or standing; empty if it does neither. The kind is NONE if no
             cause was found.
         not_passed: The reasons that the planner reports for not passing the agent in the way.
+        alarms: Numbers of the plan that contradict what the planner was shown.
     """
 
     t: float
@@ -190,6 +192,7 @@ class Account:
     predicted: bool
     causes: tuple[Cause, ...]
     not_passed: tuple[str, ...] = ()
+    alarms: tuple[Contradiction, ...] = ()
 
 
 def accounts(
@@ -266,13 +269,14 @@ class Explainer:
         plan = frame.planned.plan
         course = Course.of(plan)
         predicted = frame.predictions is not None
+        alarms = tuple(contradictions(frame, self._scenario, self._ways))
         failed = (
             [Cause(CauseKind.FALLBACK, plan.status.value, reason=plan.reason, inferred=False)]
             if plan.status.is_fallback
             else []
         )
         if not course.is_asked and not isfinite(wanted):
-            return Account(frame.planned.t, course, predicted, tuple(failed))
+            return Account(frame.planned.t, course, predicted, tuple(failed), alarms=alarms)
         decided: dict[str, Decision] = {}
         for decision in plan.internals:
             if isinstance(decision, Decision) and decision.kind in STAYS_BEHIND:
@@ -323,7 +327,7 @@ class Explainer:
             )
             causes = [*(_passed_or_begun(case) or [unexplained]), *causes]
         why_not = not_passed(plan) if causes and causes[0].kind is CauseKind.AGENT else ()
-        return Account(frame.planned.t, course, predicted, (*failed, *causes), why_not)
+        return Account(frame.planned.t, course, predicted, (*failed, *causes), why_not, alarms)
 
 
 def _met_agent(one: Meeting, case: _Case) -> Cause:

@@ -8,13 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from math import isfinite
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from replan.core.names import counted
-from replan.explain.causes import KEEP, Account, CauseKind, accounts, not_passed
+from replan.explain.broken_gates import ahead, broken_gates
+from replan.explain.causes import FELT_MPS2, KEEP, Account, CauseKind, accounts, not_passed
+from replan.explain.contradictions import LEAST_FRAMES, describe_contradictions
 from replan.explain.sentences import brief, sentences
 from replan.logs.plan import (
     Candidates,
@@ -241,44 +244,52 @@ MOST_PHASES = 8
 
 
 def summary(drive: StoredDrive) -> list[str]:
-    """The phases of a drive with fallbacks and the hardest planned braking, in the order of time, a
-    line each.
+    """What contradicts itself, which gates fail and why, and the phases with fallbacks and the
+    hardest planned braking, in the order of time.
 
-    A phase is consecutive plans with the same action and first cause. Errors as `explained`.
+    A phase is consecutive plans with the same first cause, or without any with the same action; a
+    plan that only eases a braking belongs to the phase before it. Errors as `explained`.
     """
+    all_accounts = list(accounts(drive.trace, drive.scenario, drive.result.run.drive_loop))
+    alarms = chain.from_iterable(account.alarms for account in all_accounts)
+    return [
+        *describe_contradictions(alarms, least=LEAST_FRAMES),
+        *broken_gates(drive),
+        *_describe_phases(all_accounts),
+    ]
+
+
+def _describe_phases(all_accounts: Sequence[Account]) -> list[str]:
     phases: list[list[Account]] = []
     before: Any = None
-    for account in accounts(drive.trace, drive.scenario, drive.result.run.drive_loop):
+    for account in all_accounts:
         first = account.causes[0] if account.causes else None
-        now = (account.course.action, first and (first.kind, first.who))
-        if now != before:
+        now = (first.kind, first.who) if first else account.course.action
+        eases = first is not None and first.kind is CauseKind.BEGUN
+        if now != before and not (eases and phases and phases[-1][-1].causes):
             phases.append([])
+            before = now
         phases[-1].append(account)
-        before = now
 
     def braking_mps2(account: Account) -> float:
         return account.course.a_least if account.causes else 0.0
 
     hardest = [min(phase, key=braking_mps2) for phase in phases]
 
-    def weight(k: int) -> tuple[bool, float, int]:
-        account = hardest[k]
-        failed = bool(account.causes) and account.causes[0].kind is CauseKind.FALLBACK
-        return not failed, braking_mps2(account), k
+    def weight(k: int) -> tuple[bool, bool, float, int]:
+        kind = hardest[k].causes[0].kind if hardest[k].causes else None
+        weak = kind is CauseKind.NONE and braking_mps2(hardest[k]) > -FELT_MPS2
+        return kind is not CauseKind.FALLBACK, weak, braking_mps2(hardest[k]), k
 
     shown = sorted(sorted(range(len(phases)), key=weight)[:MOST_PHASES])
     lines = []
     for k in shown:
         account_of_phase, (begin, end) = hardest[k], (phases[k][0].t, phases[k][-1].t)
-        braking = (
-            f", plans {account_of_phase.course.a_least:.1f} m/s²"
-            if account_of_phase.causes and account_of_phase.course.a_least < 0.0
-            else ""
-        )
+        course, braking = account_of_phase.course, ""
+        if account_of_phase.causes and course.a_least < 0.0:
+            braking = f", plans {course.a_least:.1f} m/s²{ahead(course)}"
         why = f", {brief(account_of_phase)}" if account_of_phase.causes else ""
-        lines.append(
-            f"{begin:.2f} to {end:.2f} s: {account_of_phase.course.action.value}{braking}{why}"
-        )
+        lines.append(f"{begin:.2f} to {end:.2f} s: {course.action.value}{braking}{why}")
     left = len(phases) - len(shown)
     return [*lines, f"and {counted(left, 'phase')} with less braking"] if left else lines
 

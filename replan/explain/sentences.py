@@ -7,7 +7,8 @@ from __future__ import annotations
 import re
 from math import isfinite
 
-from replan.explain.causes import Account, Cause, CauseKind
+from replan.explain.causes import SHARE, Account, Cause, CauseKind
+from replan.explain.contradictions import describe_contradictions
 from replan.explain.course import GAP_M, HEADWAY_S, STEP_S, PlanAction
 
 MOST = 3
@@ -28,13 +29,19 @@ OPENINGS = {
 
 
 def sentences(account: Account) -> list[str]:
-    """The causes of slowing down, standing or crawling, the first one first.
+    """Numbers that contradict each other, then the causes of slowing down, standing or crawling,
+    the first one first.
 
-    Empty if there is no cause or fallback.
+    Empty if there is none of these and no fallback. An inferred cause that needs less than `SHARE`
+    of the first one's deceleration is not named beside it.
     """
     failed = [cause for cause in account.causes if cause.kind is CauseKind.FALLBACK]
     rest = conflicts(account)
-    lines = [f"Fallback: {_join(cause.who, cause.reason)}." for cause in failed]
+    if rest and isfinite(rest[0].need_mps2):
+        least = SHARE * rest[0].need_mps2
+        rest = [cause for cause in rest if not (cause.inferred and cause.need_mps2 < least)]
+    lines = describe_contradictions(account.alarms)
+    lines += [f"Fallback: {_join(cause.who, cause.reason)}." for cause in failed]
     course = account.course
     late = (
         f"from t = {account.t + course.t_brakes:.1f} s on"
@@ -90,7 +97,7 @@ def brief(account: Account) -> str:
         return ""
     cause = account.causes[0]
     if cause.kind is CauseKind.FALLBACK:
-        return f"fallback: {cause.who}"
+        return f"fallback: {_join(cause.who, cause.reason)}"
     if cause.kind is CauseKind.NONE:
         return "no cause found"
     takes = f", which takes {cause.need_mps2:.1f} m/s²" if isfinite(cause.need_mps2) else ""

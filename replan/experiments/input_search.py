@@ -26,7 +26,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from hashlib import blake2b
-from itertools import chain
+from itertools import chain, islice
 from math import floor, inf, log10
 from typing import Any
 
@@ -51,7 +51,9 @@ ROUGH_M = 1.0
 GLANCE = 2
 """Places at which every change is tried; those that bring no plan nearer are not tried further."""
 PLACES = 6
-"""Frames of all drives at which the nearer ones are tried and refined."""
+"""Frames that differ at which the nearer ones are tried and refined, and as many that agree."""
+SPREAD = (0.3, 0.5, 0.7, 0.15, 0.85)
+"""Where in a drive frames that agree are looked for, as shares of its frames."""
 APART_S = 0.8
 """Two of these frames of a drive are at least this far apart, s."""
 PROMISING = 8
@@ -175,6 +177,7 @@ class Reference:
     def __init__(self, build: Build) -> None:
         self._build = build
         self._planners: dict[tuple[str, tuple[Change, ...]], Planner] = {}
+        self._digests: dict[str, list[bytes]] = {}
         self._planned: dict[tuple[str, tuple[Change, ...], bytes], Plan | None] = {}
 
     def plans(
@@ -198,6 +201,15 @@ class Reference:
             self._plan(drive, context, number, _emptied(frame))  # forgets what was before
             self._planned[key] = self._plan(drive, context, number, frame, keep=True)
         return self._planned[key]
+
+    def is_changed(self, drive: WatchedDrive, changes: Sequence[Change]) -> bool:
+        """Whether the changes change any frame of a drive, or the planner."""
+        if drive.log not in self._digests:
+            self._digests[drive.log] = list(map(_digest, drive.frames))
+        frames = changed(drive.frames, _of_frames(changes))
+        return bool(_of_build(changes)) or any(
+            _digest(frames[n]) != before for n, before in enumerate(self._digests[drive.log])
+        )
 
     def _plan(
         self,
@@ -294,10 +306,10 @@ class TriedInput:
         return self.same == self.total
 
     @property
-    def order(self) -> tuple[int, float, int, int]:
-        """The better one first: more equal plans, nearer, fewer changes, of fewer kinds."""
+    def order(self) -> tuple[float, int, int, int]:
+        """The better one first: nearer, more equal plans, fewer changes, of fewer kinds."""
         kinds = sum(len(change.kinds) for change in self.changes)
-        return -self.same, self.distance, len(self.changes), kinds
+        return self.distance, -self.same, len(self.changes), kinds
 
 
 @dataclass(frozen=True, eq=False)
@@ -328,13 +340,29 @@ class InputSearch:
 
     @cached_property
     def places(self) -> list[tuple[int, int]]:
-        """Drive and frame of the places to look at, the farthest one of each drive in turns."""
+        """Drive and frame of the places to look at: those that differ, the farthest one of each
+        drive in turns, and `PLACES` where nothing differs and nothing may.
+        """
         ranked = [self._places_of(row) for row in range(len(self.drives))]
         turns = chain.from_iterable(
             [(row, frames[turn]) for row, frames in enumerate(ranked) if turn < len(frames)]
             for turn in range(PLACES)
         )
-        return list(turns)[:PLACES]
+        return [*list(turns)[:PLACES], *islice(self._agreeing(), PLACES)]
+
+    def _agreeing(self) -> Iterator[tuple[int, int]]:
+        """Frames among road users in which the plans are equal and memory does not matter, the
+        first of each drive in turns, and then others.
+        """
+        for share in SPREAD:
+            for row, drive in enumerate(self.drives):
+                n, plans = int(share * len(drive.plans)), self.unchanged[row]
+                remembered = plans[n]
+                if remembered is None or not len(drive.frames[n].agents):
+                    continue
+                is_equal = same_plan(remembered, drive.plans[n])
+                if is_equal and same_plan(self.reference.plan_afresh(drive, (), n), remembered):
+                    yield row, n
 
     def _places_of(self, row: int) -> list[int]:
         """The frames of a drive in which the plans differ most and memory does not matter."""
@@ -364,7 +392,7 @@ class InputSearch:
         several = [group for group in dict.fromkeys(groups) if 1 < len(group) < len(present)]
         return [*single, *several] if len(single) > 1 else []
 
-    def at(self, changes: Sequence[Change], count: int = PLACES) -> TriedInput:
+    def at(self, changes: Sequence[Change], count: int = 2 * PLACES) -> TriedInput:
         """The changes, tried at the first `count` places."""
         key = tuple(changes), count
         if key not in self._tried:
@@ -385,8 +413,9 @@ class InputSearch:
         plans are not equal.
         """
         misses = total = 0
-        for drive in self.drives:
-            plans = self.reference.plans(drive, changes)
+        for row, drive in enumerate(self.drives):
+            is_changed = self.reference.is_changed(drive, changes)
+            plans = self.reference.plans(drive, changes) if is_changed else self.unchanged[row]
             for plan, recorded in zip(plans, drive.plans, strict=True):
                 misses += not same_plan(plan, recorded)
                 if misses > most_misses:
@@ -420,26 +449,22 @@ class InputSearch:
         return sorted(refined, key=lambda tried: tried.order)
 
     def _is_nearer(
-        self, changes: Sequence[Change], before: Sequence[Change], count: int = PLACES
+        self, changes: Sequence[Change], before: Sequence[Change], count: int = 2 * PLACES
     ) -> bool:
         """Whether more plans are equal than with the changes `before`, or they are nearer."""
         tried, base = self.at(changes, count), self.at(before, count)
         return tried.same > base.same or tried.distance < BETTER * base.distance
 
     def finalists(self, count: int, most: int) -> list[tuple[Change, ...]]:
-        """The best `most` of all tries of `count` changes, and those that are as good."""
+        """The best `most` of all tries of `count` changes, and all that are as good as the best."""
         tries = [
             tried
             for (changes, places), tried in self._tried.items()
-            if len(changes) == count and places == PLACES
+            if len(changes) == count and places > GLANCE
         ]
         tries.sort(key=lambda tried: tried.order)
-        last = tries[min(most, len(tries)) - 1] if tries else None
-        return [
-            tried.changes
-            for i, tried in enumerate(tries)
-            if i < most or (last is not None and tried.order[:2] == last.order[:2])
-        ]
+        as_good = sum(tried.order[:2] == tries[0].order[:2] for tried in tries)
+        return [tried.changes for tried in tries[: max(most, as_good)]]
 
     def refined(self, changes: Sequence[Change], place: int) -> TriedInput:
         """The changes with the best value of the one at `place`."""
@@ -459,10 +484,12 @@ class InputSearch:
             whole = [tried(float(value)) for value in range(round(low), round(high) + 1)]
             return min([best, *whole], key=lambda item: item.order)
         for _ in range(STEPS):
-            if best.is_exact:
+            if best.is_exact and best.distance == 0.0:
                 break
             middle = best.changes[place].value
             halves = [tried(0.5 * (low + middle)), tried(0.5 * (middle + high))]
+            if {half.distance for half in halves} == {best.distance}:
+                break  # only the order of the value and those of the agents matters
             nearest = min([best, *halves], key=lambda item: item.order)
             value = nearest.changes[place].value
             if value < middle:

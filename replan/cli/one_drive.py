@@ -391,10 +391,13 @@ def explain(
     every: Annotated[
         bool, typer.Option("--all", help="Each change of a decision, in full.")
     ] = False,
+    table: Annotated[
+        Path | None, opt.output("Write what its plans used to FILE.parquet.", "--table")
+    ] = None,
     as_json: opt.Json = False,
 ) -> None:
     """Print why a drive slows down: when, for which road user, the alternatives and their costs
-    (docs/why.md).
+    (docs/why.md). What is wrong with the input of its plans comes first.
 
     [bold]Examples[/bold]
 
@@ -404,15 +407,24 @@ def explain(
     """
     from replan.draw.drawn_results import load
     from replan.explain.explanation import explained, lines_of, summary
+    from replan.explain.input_faults import describe_input, use_of
+    from replan.results.tables import write_parquet
+    from replan.run.claim import claimed_file
 
     chosen = chosen_drive(load(result), opt.only_log(log_name, log), planner, mode)
     drive = chosen.drive
+    if table is not None:
+        with claimed_file(table, (".parquet",)):
+            write_parquet(table, use_of(drive).table(), "input_use.parquet")
+        say(table)
+        return
     ended = (
         f"{chosen.drive.title}: {drive.info['end']} after {drive.info['t_end_s']:.2f} "
         f"s{chosen.remark}"
     )
     if at is None and not every and not as_json:
-        say_sentences([ended, *map(drive.scenario.short_names, summary(drive))])
+        lines = [*describe_input(use_of(drive)), *summary(drive)]
+        say_sentences([ended, *map(drive.scenario.short_names, lines)])
         say("more: --at T for one instant, --all for every change of a decision")
         return
     explanations = explained(drive, at)

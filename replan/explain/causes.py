@@ -362,19 +362,7 @@ def _stops(case: _Case) -> Iterator[Cause]:
             demanded = lights.get(line.light, Colour.OFF) in (*RED, Colour.YELLOW)
         on_way = line.lane in lanes and (not line.towards or not lanes.isdisjoint(line.towards))
         if on_way and (name in case.decided or demanded):
-            path = case.way
-            x, y = path.x + front * np.cos(path.yaw), path.y + front * np.sin(path.yaw)
-            (ax, ay), (bx, by) = line.points
-            # The side of the line on which the ego's front is
-            side = (bx - ax) * (y - ay) - (by - ay) * (x - ax)
-            i = np.flatnonzero((side[:-1] * side[1:] <= 0.0) & (side[:-1] != side[1:]))
-            u = side[i] / (side[i] - side[i + 1])
-            px, py = x[i] + u * (x[i + 1] - x[i]), y[i] + u * (y[i + 1] - y[i])
-            length2 = (bx - ax) ** 2 + (by - ay) ** 2
-            share = ((px - ax) * (bx - ax) + (py - ay) * (by - ay)) / length2
-            stations = path.s[i] + u * (path.s[i + 1] - path.s[i])
-            crossings = stations[(share >= 0.0) & (share <= 1.0)]
-            places[name] = float(min(crossings, default=np.inf))
+            places[name] = case.way.crossing(line.points, front)
     end = float(case.plan.trajectory.t[-1]) - case.frame.planned.t - STEP_S
     graphs = [item for item in case.plan.internals if isinstance(item, StGraph)]
     for obstacle in chain.from_iterable(graph.obstacles for graph in graphs):

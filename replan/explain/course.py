@@ -275,6 +275,22 @@ class PlanWay:
     end: float
     lanes: tuple[int, ...]
 
+    def crossing(self, points: FloatArray, front: float) -> float:
+        """The arc length at which a point `front` m ahead of the rear axle crosses a line between
+        two points `(2, 2)`, m; inf if it does not.
+        """
+        x, y = self.x + front * np.cos(self.yaw), self.y + front * np.sin(self.yaw)
+        (ax, ay), (bx, by) = points
+        # The side of the line on which the ego's front is
+        side = (bx - ax) * (y - ay) - (by - ay) * (x - ax)
+        i = np.flatnonzero((side[:-1] * side[1:] <= 0.0) & (side[:-1] != side[1:]))
+        u = side[i] / (side[i] - side[i + 1])
+        px, py = x[i] + u * (x[i + 1] - x[i]), y[i] + u * (y[i + 1] - y[i])
+        length2 = (bx - ax) ** 2 + (by - ay) ** 2
+        share = ((px - ax) * (bx - ax) + (py - ay) * (by - ay)) / length2
+        stations = self.s[i] + u * (self.s[i + 1] - self.s[i])
+        return float(min(stations[(share >= 0.0) & (share <= 1.0)], default=np.inf))
+
     def pose(self, s: float) -> tuple[float, float, float]:
         """x, y, yaw at an arc length."""
         return tuple(float(np.interp(s, self.s, column)) for column in (self.x, self.y, self.yaw))  # type: ignore[return-value]

@@ -175,9 +175,12 @@ def write_text(path: Path, text: str) -> None:
     write_file(path, lambda partial: partial.write_bytes(data))
 
 
-def write_parquet(path: Path, table: pd.DataFrame) -> None:
-    """Write a table with its schema version; the same values give the same bytes."""
-    typed = arrow(path.name, table).replace_schema_metadata(METADATA)
+def write_parquet(path: Path, table: pd.DataFrame, file: str = "") -> None:
+    """Write a table with its schema version; the same values give the same bytes.
+
+    `file`: the name of its schema, if the file has another name.
+    """
+    typed = arrow(file or path.name, table).replace_schema_metadata(METADATA)
     write_file(path, lambda partial: pq.write_table(typed, partial, compression="zstd"))
 
 

@@ -54,7 +54,7 @@ def write_html(over: Overview, path: Path, *, drives: int = 100) -> tuple[str, .
     def pages() -> Iterator[DrivePage]:
         for row in rows:
             anchor, of_page = anchors[row.log, row.planner], Attempts()
-            make = partial(drive_page, over.results, row, anchor)
+            make = partial(drive_page, over.results, row, anchor, reads_input=row in over.first)
             page = of_page("The page of a drive", make, None)
             if page is None:
                 page = DrivePage(anchor, row, why=of_page.broken[0], broken=of_page.broken)

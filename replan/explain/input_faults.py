@@ -164,8 +164,10 @@ def _unused(use: InputUse) -> Iterator[InputFault]:
     """The agents that take the way of a plan soon, and that no artefact names."""
     needed = [agent for agent in use.agents if agent.needed]
     unused = [agent for agent in needed if not agent.named]
-    if len(unused) >= max(2 * LEAST, LEFT_OUT * len(needed)):
-        group = selector(unused, [agent for agent in use.agents if agent.named])
+    named = [agent for agent in use.agents if agent.named]
+    group = selector(unused, named) if unused else ""
+    # Without a property that tells them from others, the planner chose them
+    if len(unused) >= max(2 * LEAST, LEFT_OUT * len(needed)) and (group or not named):
         claim = f"no agents{group and f' {group}'} that take its way soon"
         yield InputFault(claim, len(unused), len(needed), use.times[unused[0].frame])
 

@@ -83,8 +83,10 @@ def test_the_fault_is_named_with_its_size(planner: str, name: str, claim: str) -
     assert all(LEAST <= fault.count <= fault.of for fault in faults)
 
 
-@pytest.mark.parametrize("planner", ["dp_qp", "idm", "pdm", "lattice"])
-@pytest.mark.parametrize("loop", [LoopConfig(), SENSOR], ids=["truth", "sensor"])
+@pytest.mark.parametrize(
+    ("planner", "loop"),
+    [("idm", LoopConfig()), ("pdm", LoopConfig()), ("dp_qp", SENSOR), ("lattice", SENSOR)],
+)
 def test_settings_of_perception_are_no_fault(planner: str, loop: LoopConfig) -> None:
     """A delay of 0.5 s, noise and dropouts are what the planner was shown."""
     use = use_of("paper/crossing_pedestrian", planner, loop)

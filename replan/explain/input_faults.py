@@ -38,6 +38,8 @@ SAME_M = 0.1
 """Changes whose mean differences differ by less than this are not told apart, m."""
 SHARE_OFF, PLACE_OFF_M = 0.05, 0.3
 """Least errors of the start: share of the ego's speed, and its place."""
+RARE = 0.05
+"""A change is none where fewer S-T outlines than this share are off."""
 LEFT_OUT = 0.1
 """Agents are left out if it is this share of those that take the way soon."""
 PURE = 0.95
@@ -259,7 +261,8 @@ def _changed(use: InputUse) -> list[InputFault]:
     changes, times = Changes(use.frames, use.scenario), use.times
     seen = [agent for agent in use.agents if np.isfinite(agent.off_m)]
     off = [agent for agent in seen if agent.off_m > agent.allowed_m]
-    if len({agent.frame for agent in off}) < LEAST:
+    drawn = [agent for agent in seen if agent.drawn is not None or agent.off_m > agent.allowed_m]
+    if len({agent.frame for agent in off}) < LEAST or len(off) < RARE * len(drawn):
         return []
     tried = off[:: max(1, len(off) // SAMPLED)]
     allowed = [max(0.5 * agent.allowed_m, 0.25 * agent.off_m) for agent in tried]
@@ -308,5 +311,6 @@ def selector(group: Sequence[AgentUse], others: Sequence[AgentUse]) -> str:
             low = sign * np.percentile(sign * left, 100.0 * PURE)
             high = sign * np.percentile(sign * chosen, 100.0 * (1.0 - PURE))
             if sign * low < sign * high:
-                words.append(f"{more} than {low:.1f} to {high:.1f} {unit}")
+                least, most = sorted((float(low), float(high)))
+                words.append(f"{more} than {least:.1f} to {most:.1f} {unit}")
     return " or ".join(words[:2])

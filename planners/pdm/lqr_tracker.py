@@ -27,7 +27,6 @@ Source: see `replan.planners.pdm.planner`.
 from __future__ import annotations
 
 from math import atan, atan2, cos, sin, tan
-from typing import NamedTuple
 
 import numpy as np
 
@@ -39,7 +38,9 @@ from replan.planners.frenet.path import Path, states_on_path
 from replan.planners.frenet.profiles import STEP_S
 
 X, Y, YAW, SPEED, ACCEL, KAPPA = range(6)
-"""Rows of a simulated drive."""
+"""Rows of a simulated drive; the poses of a proposal begin with the first three."""
+POSE_KAPPA = 3
+"""Row of the curvature in the poses of a proposal."""
 AHEAD = 10
 """Steps that (1) and (2) look ahead."""
 Q_SPEED = 10.0
@@ -58,27 +59,6 @@ STEER_LAG_S = 0.05
 """Lag of the steering in (3), s."""
 
 
-class Proposal(NamedTuple):
-    """Poses x, y (m), yaw (rad), curvature (1/m) and speed (m/s) every `STEP_S`, `(n,)`."""
-
-    x: FloatArray
-    y: FloatArray
-    yaw: FloatArray
-    kappa: FloatArray
-    speed: FloatArray
-
-
-class TrackerState(NamedTuple):
-    """State of (3): m, rad, m/s, m/s2, and the angle of the front wheels, rad."""
-
-    x: float
-    y: float
-    yaw: float
-    v: float
-    a: float
-    steer: float
-
-
 def track_proposal(
     path: Path, profile: FloatArray, start: EgoState, car: VehicleParameters, knots: int
 ) -> FloatArray:
@@ -86,40 +66,48 @@ def track_proposal(
     path.
     """
     s, speed = profile
-    x, y, yaw, kappa = states_on_path(
+    poses = states_on_path(
         path.sigma, path.x, path.y, path.yaw, path.kappa, np.ascontiguousarray(s)
     )
     steer = atan(car.wheelbase * start.kappa)
-    state = TrackerState(start.x, start.y, start.yaw, max(start.v, 0.0), start.a, steer)
-    proposal = Proposal(x, y, yaw, kappa, speed)
-    return follow_proposal(proposal, state, car.wheelbase, car.max_steer, knots)
+    state = np.array([start.x, start.y, start.yaw, max(start.v, 0.0), start.a, steer])
+    return follow_proposal(poses, speed, state, car.wheelbase, car.max_steer, knots)
 
 
 @kernel
 def follow_proposal(
-    proposal: Proposal, start: TrackerState, wheelbase: float, max_steer: float, knots: int
+    poses: FloatArray,
+    speed: FloatArray,
+    start: FloatArray,
+    wheelbase: float,
+    max_steer: float,
+    knots: int,
 ) -> FloatArray:
-    """Rows x, y, yaw, v, a, kappa `(6, knots)` of the ego that follows a proposal."""
-    states, last = np.empty((6, knots)), len(proposal.x) - 1
+    """Rows x, y, yaw, v, a, kappa `(6, knots)` of the ego that follows a proposal.
+
+    The proposal has the rows x, y, yaw, kappa `(4, n)` and the `speed` `(n,)`; `start` is x, y,
+    yaw, v, a, steer.
+    """
+    states, last = np.empty((6, knots)), len(speed) - 1
     x, y, yaw, v, a, steer = start
     for k in range(knots):
         states[X, k], states[Y, k], states[YAW, k] = x, y, yaw
         states[SPEED, k], states[ACCEL, k], states[KAPPA, k] = v, a, tan(steer) / wheelbase
-        knot, v_then = min(k, last), proposal.speed[min(k + AHEAD, last)]
+        knot, v_then = min(k, last), speed[min(k + AHEAD, last)]
         if v_then <= STOPPING_MPS and v <= STOPPING_MPS:
             wanted_accel, rate = STOPPING_GAIN * (v_then - v), 0.0
         else:
             T = STEP_S * AHEAD
             wanted_accel = T * Q_SPEED * (v_then - v) / (T * T * Q_SPEED + 1.0)  # (1)
-            yaw_r = proposal.yaw[knot]
-            e = (y - proposal.y[knot]) * cos(yaw_r) - (x - proposal.x[knot]) * sin(yaw_r)
+            yaw_r = poses[YAW, knot]
+            e = (y - poses[Y, knot]) * cos(yaw_r) - (x - poses[X, knot]) * sin(yaw_r)
             psi = wrap(yaw - yaw_r)
             # The response to a rate of 1; e and psi become that to a rate of 0
             e1, psi1, steer1 = 0.0, 0.0, 0.0
             for i in range(AHEAD):
                 step_m = STEP_S * max(v + i * STEP_S * wanted_accel, 0.0)
                 e += step_m * psi
-                psi += step_m * (steer / wheelbase - proposal.kappa[min(knot + i, last)])
+                psi += step_m * (steer / wheelbase - poses[POSE_KAPPA, min(knot + i, last)])
                 e1 += step_m * psi1
                 psi1 += step_m * steer1 / wheelbase
                 steer1 += STEP_S

@@ -44,6 +44,7 @@ from replan.experiments.input_search import (
 from replan.explain.first_difference import FirstDifference, first_difference
 from replan.explain.input_changes import InputChange, limits_that_fit
 from replan.logs.frame import PlannerContext
+from replan.logs.scenario import Scenario
 from replan.logs.trace import PlannedFrame, Trace
 from replan.planners.base import Planner
 from replan.replay.parts import PLANNER
@@ -51,10 +52,12 @@ from replan.replay.planner_process.coordinates import built
 from replan.replay.planner_process.planner_config import is_foreign, planner_part
 from replan.run.frame_dump import scenario_driven, watched_drive
 
-DIFFERING, EQUAL = 4, 3
+DIFFERING, EQUAL = 4, 2
 """Drives that are looked at: those that differ most, and some in which nothing differs."""
+READ = 7
+"""Logs of either kind among which they are chosen, the worst first."""
 UNEXPLAINED = 0.1
-FINALISTS = 12
+FINALISTS = 6
 """Changes that are tried on all frames."""
 FIRSTS = 2
 """Changes that are tried as the first one of two."""
@@ -296,19 +299,41 @@ def attribute(
         PlannerError: A planner cannot be loaded.
     """
     differing, equal = pair.logs(logs)
-    chosen = (*differing[:DIFFERING], *equal[: DIFFERING + EQUAL - len(differing[:DIFFERING])])
+    scenarios = {
+        log: scenario_driven(pair.run.drive(log, pair.suspect, pair.mode))
+        for log in (*differing[:READ], *equal[:READ])
+    }
+    first = _varied(differing[:READ], scenarios, DIFFERING)
+    chosen = (*first, *_varied(equal[:READ], scenarios, DIFFERING + EQUAL - len(first)))
     drives: list[WatchedDrive] = []
     traces: list[Trace] = []
     for log in chosen:
         drive = pair.run.drive(log, pair.suspect, pair.mode)
-        watch, again = watched_drive(drive, scenario_driven(drive), pair.run.run, inf)
+        watch, again = watched_drive(drive, scenarios[log], pair.run.run, inf)
         frames, plans = tuple(watch.frames), tuple(frame.plan for frame in again.trace.frames)
         context = replace(watch.context, lap=_no_clock)
         drives.append(WatchedDrive(log, context, frames[: len(plans)], plans))
         traces.append(again.trace)
     say(f"{counted(len(drives), 'drive')} driven again, {len(differing)} of the run differ")
-    search = InputSearch(Reference(pair.build_reference), drives)
-    return _Attributing(pair, search, tuple(traces), len(differing[:DIFFERING]), say).result()
+    search = InputSearch.of(Reference(pair.build_reference), drives)
+    return _Attributing(pair, search, tuple(traces), len(first), say).result()
+
+
+def _varied(logs: Sequence[str], scenarios: Mapping[str, Scenario], most: int) -> list[str]:
+    """At most `most` logs: one after the other the first that adds most kinds of road users, or
+    traffic lights, to those before it.
+    """
+    chosen: list[str] = []
+    shown: set[object] = set()
+    while len(chosen) < min(most, len(logs)):
+        new = {
+            log: {*scenarios[log].tracks.kinds, bool(scenarios[log].lights)} - shown
+            for log in logs
+            if log not in chosen
+        }
+        chosen.append(max(new, key=lambda log: len(new[log])))
+        shown |= new[chosen[-1]]
+    return chosen
 
 
 def _no_clock(stage: str) -> None:
@@ -346,7 +371,10 @@ class _Attributing:
                 for key, (own, other) in settings.items()
             )
             return replace(nothing, cause=" and ".join(causes), settings=words)
-        for tries in (self._given_settings, self._one_change, self._two_changes, self._settings):
+        later = (self._two_changes, self._settings)
+        if self.search.is_input_same:
+            later = later[::-1]
+        for tries in (self._given_settings, self._one_change, *later):
             claimed = self._claimed(tries())
             if claimed:
                 return self._explained(nothing, claimed)

@@ -54,15 +54,19 @@ PLACES = 6
 """Frames that differ at which the nearer ones are tried and refined, and as many that agree."""
 SPREAD = (0.3, 0.5, 0.7, 0.15, 0.85)
 """Where in a drive frames that agree are looked for, as shares of its frames."""
+WINDOW = 80
+"""Frames of a drive that are looked at from the first difference on."""
 APART_S = 0.8
 """Two of these frames of a drive are at least this far apart, s."""
-PROMISING = 8
+PROMISING = 5
 """Changes that are refined."""
 BETTER = 0.95
 """A change is nearer if its distance is below this share of the distance without a change."""
-STEPS = 10
+BEYOND = 3.0
+"""How far the refinement goes beyond the last try, as multiples of the step before it."""
+STEPS = 12
 """Steps of a refinement."""
-SETTING_SHARES = (0.1, 0.3, 0.5, 0.7, 0.85, 1.2, 1.5, 2.0, 3.0, 10.0)
+SETTING_SHARES = (0.2, 0.6, 1.6, 5.0)
 COLUMNS = ("t", "x", "y", "yaw", "v", "a")
 VEHICLES = frozenset({AgentKind.CAR, AgentKind.TRUCK, AgentKind.BUS})
 ON_FOOT_OR_BICYCLE = frozenset({AgentKind.PEDESTRIAN, AgentKind.BICYCLE})
@@ -77,6 +81,10 @@ class WatchedDrive:
     context: PlannerContext
     frames: Sequence[Frame]
     plans: Sequence[Plan]
+
+    def begin(self, count: int) -> WatchedDrive:
+        """The drive with its first `count` frames."""
+        return replace(self, frames=self.frames[:count], plans=self.plans[:count])
 
 
 def same_plan(one: Plan | None, two: Plan) -> bool:
@@ -147,7 +155,7 @@ class SettingChange:
     def row(self) -> ChangeRow:
         """Shares of the own value; of a whole number its neighbours; of 0 some powers of ten."""
         if isinstance(self.own, int):
-            tries = tuple(self.own + step for step in (-8.0, -4.0, -2.0, -1.0, 1.0, 2.0, 4.0, 8.0))
+            tries = tuple(self.own + step for step in (-4.0, -1.0, 1.0, 4.0))
             return ChangeRow(self.key, tries, None, "frames", cause="decision")
         shares = SETTING_SHARES if self.own else (0.1, 1.0, 10.0)
         tries = tuple(share * (self.own or 1.0) for share in shares)
@@ -169,6 +177,21 @@ class SettingChange:
 Change = InputChange | SettingChange
 Build = Callable[[PlannerContext, Mapping[str, Any]], Planner]
 """Builds the reference planner from a context, with changes of its table of settings."""
+
+
+def _begins_alike(one: Plan, two: Plan) -> bool:
+    starts = [
+        [float(getattr(plan.trajectory, name)[0]) for name in COLUMNS[:-1]] for plan in (one, two)
+    ]
+    return starts[0] == starts[1]
+
+
+def _same_obstacles(one: Plan, two: Plan) -> bool:
+    """Whether both plans have graphs, and the same obstacles in them."""
+    planes = list(_planes(one, two))
+    return bool(planes) and not any(
+        far for first, second in planes for far in _obstacle_distances(first, second)
+    )
 
 
 class Reference:
@@ -319,16 +342,34 @@ class InputSearch:
     Attributes:
         reference: The planner whose input is changed.
         drives: The drives of the suspect, those that differ most first.
+        unchanged: The reference's plans of all frames of each drive, without a change.
     """
 
     reference: Reference
     drives: Sequence[WatchedDrive]
+    unchanged: Sequence[Sequence[Plan | None]]
     _tried: dict[tuple[tuple[Change, ...], int], TriedInput] = field(default_factory=dict)
 
-    @cached_property
-    def unchanged(self) -> list[list[Plan | None]]:
-        """The reference's plans of all frames of each drive, without a change or artefacts."""
-        return [list(self.reference.plans(drive, ())) for drive in self.drives]
+    @classmethod
+    def of(cls, reference: Reference, drives: Sequence[WatchedDrive]) -> InputSearch:
+        """A search over the begin of each drive: up to `WINDOW` frames after the first difference;
+        of a drive without one, at most `WINDOW` frames.
+        """
+        begins: list[WatchedDrive] = []
+        unchanged: list[list[Plan | None]] = []
+        for drive in drives:
+            plans: list[Plan | None] = []
+            first = None
+            for plan, recorded in zip(reference.plans(drive, ()), drive.plans, strict=True):
+                if first is None and not same_plan(plan, recorded):
+                    first = len(plans)
+                plans.append(plan)
+                if first is not None and len(plans) > first + WINDOW:
+                    break
+            plans = plans[:WINDOW] if first is None else plans
+            begins.append(drive.begin(len(plans)))
+            unchanged.append(plans)
+        return cls(reference, begins, unchanged)
 
     @cached_property
     def differing(self) -> list[list[int]]:
@@ -379,6 +420,24 @@ class InputSearch:
             if len(frames) == PLACES:
                 break
         return frames
+
+    @cached_property
+    def is_input_same(self) -> bool:
+        """Whether the plans begin alike and have the same obstacles at half of the places that
+        differ, or more.
+        """
+        alike = []
+        for row, n in self.places[:PLACES]:
+            plan, recorded = (
+                self.reference.plan_afresh(self.drives[row], (), n),
+                self.drives[row].plans[n],
+            )
+            alike.append(
+                plan is not None
+                and _begins_alike(plan, recorded)
+                and _same_obstacles(plan, recorded)
+            )
+        return 2 * sum(alike) >= len(alike)
 
     @cached_property
     def kinds(self) -> list[frozenset[AgentKind]]:
@@ -445,8 +504,12 @@ class InputSearch:
             if near:
                 best.append(min(near, key=lambda tried: tried.order))
         promising = sorted(best, key=lambda tried: tried.order)[:PROMISING]
-        refined = [self.refined(tried.changes, len(before)) for tried in promising]
-        return sorted(refined, key=lambda tried: tried.order)
+        refined: list[TriedInput] = []
+        for tried in promising:
+            refined.append(self.refined(tried.changes, len(before)))
+            if refined[-1].distance == 0.0:
+                break  # nothing is nearer
+        return sorted([*refined, *promising[len(refined) :]], key=lambda tried: tried.order)
 
     def _is_nearer(
         self, changes: Sequence[Change], before: Sequence[Change], count: int = 2 * PLACES
@@ -479,7 +542,10 @@ class InputSearch:
             return best
         values = sorted({*row.tries, change.value})
         index = values.index(change.value)
-        low, high = values[max(0, index - 1)], values[min(len(values) - 1, index + 1)]
+        low = values[index - 1] if index else values[0] - BEYOND * (values[1] - values[0])
+        high = values[-1] + BEYOND * (values[-1] - values[-2])
+        high = values[index + 1] if index + 1 < len(values) else high
+        low = max(low, 0.0) if values[0] >= 0.0 else low
         if row.is_whole:
             whole = [tried(float(value)) for value in range(round(low), round(high) + 1)]
             return min([best, *whole], key=lambda item: item.order)

@@ -351,11 +351,11 @@ def _wider(context: PlannerContext, value: float) -> PlannerContext:
     return replace(context, vehicle=replace(context.vehicle, width=value * context.vehicle.width))
 
 
-SHARES = (0.0, 0.25, 0.5, 0.65, 0.8, 0.9, 1.1, 1.25, 1.5, 2.0)
-OFFSETS_M = (-3.0, -2.0, -1.2, -0.7, -0.3, 0.3, 0.7, 1.2, 2.0, 3.0)
-FRAMES = (1.0, 2.0, 3.0, 5.0, 7.0, 9.0, 11.0, 14.0, 18.0, 24.0)
+SHARES = (0.0, 0.3, 0.6, 0.85, 1.2, 1.6)
+OFFSETS_M = (-2.5, -1.0, -0.4, 0.4, 1.0, 2.5)
+FRAMES = (1.0, 3.0, 6.0, 10.0, 15.0, 22.0)
 RANGES_M = (2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 15.0, 20.0, 25.0, 30.0, 40.0, 50.0, 70.0)
-TURNS_RAD = (-0.5, -0.2, -0.1, -0.05, 0.05, 0.1, 0.2, 0.5)
+TURNS_RAD = (-0.4, -0.1, 0.1, 0.4)
 NOTHING = (1.0,)
 """The only value of a change without one."""
 

@@ -44,6 +44,7 @@ from replan.experiments.input_search import (
 from replan.explain.first_difference import FirstDifference, first_difference
 from replan.explain.input_changes import InputChange, limits_that_fit
 from replan.logs.frame import PlannerContext
+from replan.logs.plan import PlanStatus
 from replan.logs.scenario import Scenario
 from replan.logs.trace import PlannedFrame, Trace
 from replan.planners.base import Planner
@@ -72,6 +73,9 @@ CAUSES = {
     "traffic": "traffic",
 }
 """What a setting of the loop is about, by a word of its key; others are about control."""
+BROKEN = (PlanStatus.REFUSED, PlanStatus.CORRECTED)
+"""How a plan is driven that breaks the contract."""
+MOST_NOTES = 2
 FEW = 3
 """Second changes that are refined together with the first one."""
 
@@ -108,8 +112,8 @@ class Attribution:
     notes: tuple[str, ...] = ()
 
     def lines(self) -> list[str]:
-        """The attribution in sentences, the cause first."""
-        return [*self._cause_lines(), *self.notes]
+        """The attribution in sentences: what breaks the contract, then the cause."""
+        return [*self.notes, *self._cause_lines()]
 
     def _cause_lines(self) -> Iterator[str]:
         suspect, reference = self.planners
@@ -307,16 +311,34 @@ def attribute(
     chosen = (*first, *_varied(equal[:READ], scenarios, DIFFERING + EQUAL - len(first)))
     drives: list[WatchedDrive] = []
     traces: list[Trace] = []
+    notes: list[str] = []
     for log in chosen:
         drive = pair.run.drive(log, pair.suspect, pair.mode)
         watch, again = watched_drive(drive, scenarios[log], pair.run.run, inf)
-        frames, plans = tuple(watch.frames), tuple(frame.plan for frame in again.trace.frames)
+        frames, plans = (
+            tuple(watch.frames),
+            tuple(plan.recorded(keep=True) for plan in watch.answers),
+        )
+        notes += refusals(log, again.trace)
         context = replace(watch.context, lap=_no_clock)
         drives.append(WatchedDrive(log, context, frames[: len(plans)], plans))
         traces.append(again.trace)
     say(f"{counted(len(drives), 'drive')} driven again, {len(differing)} of the run differ")
     search = InputSearch.of(Reference(pair.build_reference), drives)
-    return _Attributing(pair, search, tuple(traces), len(first), say).result()
+    result = _Attributing(pair, search, tuple(traces), len(first), say).result()
+    return replace(result, notes=tuple(notes[:MOST_NOTES]))
+
+
+def refusals(log: str, trace: Trace) -> list[str]:
+    """The plans of a drive that break the contract of planners, in a sentence; empty without."""
+    refused = [frame for frame in trace.frames if frame.plan.status in BROKEN]
+    if not refused:
+        return []
+    first = refused[0]
+    return [
+        f"Contract: {len(refused)} of {len(trace.frames)} plans of {log} are refused or corrected, "
+        f"first at {first.t:.2f} s: {first.plan.reason}."
+    ]
 
 
 def _varied(logs: Sequence[str], scenarios: Mapping[str, Scenario], most: int) -> list[str]:
@@ -435,7 +457,10 @@ class _Attributing:
         wanted = pair.baseline.drive(log, pair.reference, pair.mode).trace.ego
         scenario, table = scenario_driven(drive), tomllib.loads(dump_run(pair.run.run))
         for key, (_, other) in differing.items():
-            run = strict(RunConfig, merged(table, nested({key: other})))
+            section, _, rest = key.partition(".")
+            values = {name: value for name, value in flat(table[section]) if name != rest}
+            values |= {} if other is None else {rest: other}
+            run = strict(RunConfig, {**table, section: nested(values)})
             ego = watched_drive(drive, scenario, run, inf)[1].trace.ego
             if len(ego.t) == len(wanted.t) and (ego.x == wanted.x).all():
                 return {key: differing[key]}

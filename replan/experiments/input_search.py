@@ -44,7 +44,6 @@ from replan.logs.agents import NUMBERS, AgentKind
 from replan.logs.frame import Frame, PlannerContext
 from replan.logs.plan import Graph, Plan
 from replan.planners.base import Planner
-from replan.replay.loop.plan_check import checked
 
 ROUGH_M = 1.0
 """The distance that counts half in (3) and (4)."""
@@ -211,7 +210,7 @@ class Reference:
         """
         frames, context = changed(drive.frames, _of_frames(changes)), _of_build(changes)
         for number in range(len(frames)):
-            yield self._plan(drive, context, number, frames[number], keep=keep)
+            yield self._plan(drive, context, frames[number], keep=keep)
 
     def plan_afresh(
         self, drive: WatchedDrive, changes: Sequence[Change], number: int
@@ -221,8 +220,8 @@ class Reference:
         context = _of_build(changes)
         key = drive.log, context, _digest(frame)
         if key not in self._planned:
-            self._plan(drive, context, number, _emptied(frame))  # forgets what was before
-            self._planned[key] = self._plan(drive, context, number, frame, keep=True)
+            self._plan(drive, context, _emptied(frame))  # forgets what was before
+            self._planned[key] = self._plan(drive, context, frame, keep=True)
         return self._planned[key]
 
     def is_changed(self, drive: WatchedDrive, changes: Sequence[Change]) -> bool:
@@ -238,15 +237,13 @@ class Reference:
         self,
         drive: WatchedDrive,
         context: tuple[Change, ...],
-        number: int,
         frame: Frame,
         *,
         keep: bool = False,
     ) -> Plan | None:
-        """The plan of a changed frame, checked as that of the frame as it was."""
+        """The plan of a frame as the planner made it; None if it raised."""
         try:
-            plan = self._planner(drive, context).plan(frame)
-            return checked(plan, drive.frames[number], drive.context.origin).recorded(keep=keep)
+            return self._planner(drive, context).plan(frame).recorded(keep=keep)
         except Exception:  # a planner may refuse a changed input, or a changed setting
             return None
 
@@ -329,10 +326,11 @@ class TriedInput:
         return self.same == self.total
 
     @property
-    def order(self) -> tuple[float, int, int, int]:
-        """The better one first: nearer, more equal plans, fewer changes, of fewer kinds."""
+    def order(self) -> tuple[float, int, int, int, int]:
+        """The better one first: nearer, more equal plans, fewer changes, values and kinds."""
+        values = sum(change.row.has_value for change in self.changes)
         kinds = sum(len(change.kinds) for change in self.changes)
-        return self.distance, -self.same, len(self.changes), kinds
+        return self.distance, -self.same, len(self.changes), values, kinds
 
 
 @dataclass(frozen=True, eq=False)

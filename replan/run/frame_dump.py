@@ -39,6 +39,7 @@ from replan.logs.frame import Frame, PlannerContext
 from replan.logs.plan import Plan, SolverReport
 from replan.logs.scenario import Scenario
 from replan.logs.trace import Mode, PlannedFrame
+from replan.planners.base import Planner
 from replan.planners.piecewise_jerk.problem import PiecewiseJerkProblem, Weights
 from replan.planners.piecewise_jerk.solvers import SolvedProblem, record_problems
 from replan.planners.solver import QPResult
@@ -190,8 +191,23 @@ def _problem_of(message: DumpedProblem) -> SolvedProblem:
 SAME_TIME_S = 1e-6
 
 
+class _KeptAnswers:
+    """A planner whose plans are kept."""
+
+    def __init__(self, planner: Planner, answers: list[Plan]) -> None:
+        self._planner, self._answers = planner, answers
+
+    def plan(self, frame: Frame) -> Plan:
+        """The plan of the planner."""
+        plan = self._planner.plan(frame)
+        if isinstance(plan, Plan):
+            self._answers.append(plan)
+        return plan
+
+
 class WatchedPlanning(Planning):
-    """A planning that keeps its frames, and the QPs of the last.
+    """A planning that keeps its frames, the planner's answers as they were before the check, and
+    the QPs of the last.
 
     A debugger opens at the frame of `stop_s`.
     """
@@ -199,6 +215,8 @@ class WatchedPlanning(Planning):
     def __init__(self, stop_s: float, *arguments: Any, **keywords: Any) -> None:
         super().__init__(*arguments, **keywords)
         self.frames: list[Frame] = []
+        self.answers: list[Plan] = []
+        self._planner = _KeptAnswers(self._planner, self.answers)
         self.asked: list[SolvedProblem] = []
         self._stop_s = stop_s
 

@@ -83,7 +83,8 @@ class Writes(ConstantSpeed):
 
 class Deterministic(ConstantSpeed):
     def plan(self, frame: Frame) -> Plan:
-        return Plan(arc(replace(frame.ego, kappa=1e-6 * os.urandom(1)[0]), frame.t + AHEAD))
+        share = int.from_bytes(os.urandom(4), "big") / 2**32
+        return Plan(arc(replace(frame.ego, kappa=2.5e-4 * share), frame.t + AHEAD))
 
 
 class Memory(ConstantSpeed):

@@ -119,6 +119,7 @@ ROWS = {
         "plot {place}/run --log free --mode closed --chart st -o OUT",
         file="test_free-constant_speed-closed-st.png",
     ),
+    "explain --table": Row("explain {place}/run --table OUT", ".parquet"),
     "frame --dump": Row("frame {place}/run --at 1 --dump OUT", ".msgpack"),
     "view --save": Row("view {place}/free.mcap --save OUT", ".rrd"),
     "view --screenshot": Row("view {place}/free.mcap --screenshot OUT", ".png", no=VIEWER),
@@ -131,7 +132,6 @@ READS = {
     "metrics": "prints",
     "inspect": "prints",
     "compare": "prints",
-    "explain": "prints",
     "warmup": (
         "writes the cache of kernels, each file whole: tests/core/test_kernel_cache.py, "
         "test_warmup.py"
@@ -250,7 +250,10 @@ def test_the_table_of_the_documentation_has_these_rows() -> None:
         re.MULTILINE,
     )
     said = {name: words for names, *words in lines for name in re.findall("`([^`]+)`", names)}
-    of_rows = {name.partition(",")[0].partition(" --table")[0]: row for name, row in ROWS.items()}
+    of_rows = {
+        name.partition(",")[0].replace("repair --table", "repair"): row
+        for name, row in ROWS.items()
+    }
     assert said.keys() == of_rows.keys()
     for name, row in of_rows.items():
         assert (said[name][0] == "yes") is row.resumes and (said[name][1] == "yes") is (

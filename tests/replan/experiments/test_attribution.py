@@ -61,14 +61,15 @@ class SlowPredictions(NearSide):
 
 
 class Rough(NearSide):
-    """Plans as dp_qp, and shortens the plan."""
+    """Plans as dp_qp, and slows the plan down."""
 
     def change(self, frame):
         return frame
 
     def plan(self, frame):
         plan = self._planner.plan(frame)
-        speeds = replace(plan.trajectory, v=0.99 * plan.trajectory.v)
+        slower = np.linspace(1.0, 0.98, len(plan.trajectory.t))
+        speeds = replace(plan.trajectory, v=slower * plan.trajectory.v)
         return replace(plan, trajectory=speeds)
 '''
 LOGS = ("paper/crossing_pedestrian", "everyday/cut_in", "everyday/junction")

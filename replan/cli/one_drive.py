@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 
@@ -408,13 +409,14 @@ def explain(
     from replan.draw.drawn_results import load
     from replan.explain.explanation import explained, lines_of, summary
     from replan.explain.input_faults import describe_input, use_of
+    from replan.results.schema import is_table
     from replan.results.tables import write_parquet
     from replan.run.claim import claimed_file
 
     chosen = chosen_drive(load(result), opt.only_log(log_name, log), planner, mode)
     drive = chosen.drive
     if table is not None:
-        with claimed_file(table, (".parquet",)):
+        with claimed_file(table, (".parquet",), partial(is_table, name="input_use.parquet")):
             write_parquet(table, use_of(drive).table(), "input_use.parquet")
         say(table)
         return

@@ -351,6 +351,11 @@ def names_of(table: str) -> list[str]:
     return [column.name for column in (TABLES | FRAMES)[table].columns]
 
 
+def is_table(file: Path, name: str) -> bool:
+    """Whether a Parquet file has the columns of a table; ValueError if it is no Parquet file."""
+    return bool(pq.read_schema(file).names == arrow_schema(name).names)
+
+
 def arrow_schema(file: str) -> pa.Schema:
     """The columns of a file with their types in Parquet."""
     return pa.schema([(column.name, _TYPES[column.kind]) for column in TABLES[file].columns])

@@ -214,7 +214,7 @@ def test_the_command_line_drives_shards_and_judges_when_merged(logs: Path, tmp_p
     assert files(tmp_path / "merged") == files(tmp_path / "whole")
     again = ("merge", tmp_path / "1", tmp_path / "2", "--baseline", tmp_path / "whole", "-q", "-o")
     compared = replan(*again, tmp_path / "merged")
-    assert (compared.exit_code, len(compared.stdout.splitlines())) == (1, 2)
+    assert (compared.exit_code, len(compared.stdout.splitlines())) == (1, 4)
     assert one_error(replan(*again, tmp_path))
     assert "junit.xml" in files(tmp_path / "merged")
     lacking = replan("merge", tmp_path / "1", "-o", tmp_path / "other")

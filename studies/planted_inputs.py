@@ -30,10 +30,9 @@ import pandas as pd
 
 from replan.config import load_run
 from replan.core.arrays import BoolArray, FloatArray
-from replan.core.settings import strict
+from replan.core.settings import nested, strict
 from replan.draw.drawn_results import Results
 from replan.experiments.attribution import Attribution, Pair, attribute
-from replan.experiments.input_search import nested
 from replan.logs.frame import Frame, PlannerContext, Predictions
 from replan.logs.plan import Plan
 from replan.logs.rules import Colour
@@ -42,7 +41,7 @@ from replan.planners.dp_qp.planner import DpQp
 from replan.run import evaluate_logs
 
 Before = Callable[[int], Frame]
-"""Gives the frame so many frames earlier."""
+"""Gives the frame that is this number of frames earlier."""
 Edit = Callable[[Frame, Before], Frame]
 """Returns the changed frame."""
 Kinds = tuple[str, ...]
@@ -260,7 +259,7 @@ slow_brakes = {"loop": {"plant": {"brake_lag": 0.8}}}
 stands = partial(slower, share=0.0)
 FAULTS = {
     "near_side": Fault("input", "drop agents beside 5", partial(only, mask=near_side)),
-    "nobody_behind": Fault("input", "drop agents behind", partial(only, mask=not_behind)),
+    "none_behind": Fault("input", "drop agents behind", partial(only, mask=not_behind)),
     "range": Fault("input", "drop agents beyond 25", within_25_m),
     "no_pedestrians": Fault("input", NO_PEDESTRIANS, no_pedestrians),
     "left": Fault("input", LEFT, to_the_left),
@@ -276,7 +275,7 @@ FAULTS = {
     "old_lights": Fault("input", "delay lights 15", partial(old_lights, count=15)),
     "limits": Fault("input", "scale speed limits 1.2", context=partial(faster_road, share=1.2)),
     "short_steps": Fault("prediction", "scale predictions 0.55", partial(slower, share=0.55)),
-    "nobody_moves": Fault("prediction", "scale predictions 0", stands),
+    "all_stand": Fault("prediction", "scale predictions 0", stands),
     "fast_cars": Fault("prediction", "scale predictions 1.4 of car", fast_cars),
     "old_predictions": Fault("prediction", "delay predictions 5", partial(dated, count=5)),
     "short_predictions": Fault("prediction", "cut predictions 2", partial(ended, after_s=2.0)),
@@ -310,7 +309,7 @@ FAULTS = {
         no_pedestrians,
         partial(beside_ego, offset=0.5),
     ),
-    "forgets_and_nobody_moves": Fault(
+    "forgets_and_all_stand": Fault(
         "input and prediction", "no previous plan + scale predictions 0", stands, forgetful
     ),
     "slow_and_green": Fault(

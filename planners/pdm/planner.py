@@ -52,7 +52,7 @@ BODIES = StGraphConfig(
 BRAKING_KNOT_M = 0.5
 """Spacing of the knots of the arc on which an emergency stop ends, m."""
 EQUAL_DECIMALS = 9
-"""Scores that are equal to so many decimals are equal; the first of them is driven."""
+"""Scores are equal if they are so at this many decimals; the first of equal ones is driven."""
 
 
 @dataclass(frozen=True)

@@ -212,6 +212,18 @@ def flat(table: Table, where: str = "") -> Iterator[tuple[str, Any]]:
             yield f"{where}{key}", value
 
 
+def nested(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the table of values by dotted keys: what `flat` takes apart."""
+    table: dict[str, Any] = {}
+    for key, value in values.items():
+        *parents, last = key.split(".")
+        inner = table
+        for name in parents:
+            inner = inner.setdefault(name, {})
+        inner[last] = value
+    return table
+
+
 def set_table(words: Iterable[str]) -> dict[str, Any]:
     """Parse words "KEY=VALUE" to a table: the key is dotted as in TOML, the value is TOML or plain
     text.

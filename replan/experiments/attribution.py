@@ -18,6 +18,7 @@ differ without it.
 
 from __future__ import annotations
 
+import shlex
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -30,8 +31,8 @@ from replan.compare_runs import NOT_INPUTS
 from replan.config import RunConfig, dump_run
 from replan.core.errors import ConfigError, unknown_name
 from replan.core.names import counted
-from replan.core.settings import flat, merged, strict
-from replan.draw.drawn_results import Results
+from replan.core.settings import flat, merged, nested, strict
+from replan.draw.drawn_results import DriveResult, Results
 from replan.experiments.input_search import (
     Change,
     InputSearch,
@@ -39,7 +40,6 @@ from replan.experiments.input_search import (
     SettingChange,
     TriedInput,
     WatchedDrive,
-    nested,
 )
 from replan.explain.first_difference import FirstDifference, first_difference
 from replan.explain.input_changes import InputChange, limits_that_fit
@@ -51,13 +51,14 @@ from replan.planners.base import Planner
 from replan.replay.parts import PLANNER
 from replan.replay.planner_process.coordinates import built
 from replan.replay.planner_process.planner_config import is_foreign, planner_part
-from replan.run.frame_dump import scenario_driven, watched_drive
+from replan.run.frame_dump import SAME_TIME_S, scenario_driven, watched_drive
 
 DIFFERING, EQUAL = 4, 2
 """Drives that are looked at: those that differ most, and some in which nothing differs."""
 READ = 7
 """Logs of either kind among which they are chosen, the worst first."""
 UNEXPLAINED = 0.1
+"""Share of the plans that differ which a change need not explain."""
 FINALISTS = 6
 """Changes that are tried on all frames."""
 FIRSTS = 2
@@ -65,17 +66,21 @@ FIRSTS = 2
 SAME_AS_BEST = 5
 """Changes that explain as much as the best one and are named."""
 CAUSES = {
+    "loop.prediction": "prediction",
     "prediction": "prediction",
+    "loop.perception": "perception",
+    "loop.sensor": "perception",
     "perception": "perception",
-    "sensor": "perception",
-    "delay": "latency",
-    "period": "latency",
+    "loop.plan_": "latency",
+    "loop.traffic": "traffic",
     "traffic": "traffic",
+    "log": "reading of logs",
 }
-"""What a setting of the loop is about, by a word of its key; others are about control."""
+"""What a setting beside the planner's is about, by how its key begins; others: control."""
 BROKEN = (PlanStatus.REFUSED, PlanStatus.CORRECTED)
 """How a plan is driven that breaks the contract."""
 MOST_NOTES = 2
+"""Notes that are printed."""
 FEW = 3
 """Second changes that are refined together with the first one."""
 
@@ -91,10 +96,10 @@ class Attribution:
         others: Changes that explain them as well: no frame of these drives separates them.
         fit: The values of a limit that fit as well, m; NaN if there is no limit.
         frames: Number of frames, and of those that differ without a change.
-        logs: The logs that were looked at, those that differ first, and how many of them differ.
+        logs: The logs that were looked at, those that differ first.
         stage: The first difference that is left, if no change explains it.
-        where: Log and time of the frame that differs most, s.
-        settings: Settings of the loop that differ and explain the difference: key and both values.
+        command: Plans the frame that differs most with the change; "" without a change.
+        settings: Settings beside the planner's that explain the difference: key and both values.
         notes: What else the user should know, one sentence each.
     """
 
@@ -102,12 +107,12 @@ class Attribution:
     cause: str
     period_s: float
     frames: tuple[int, int]
-    logs: tuple[tuple[str, ...], int]
+    logs: tuple[str, ...]
     best: TriedInput | None = None
     others: tuple[TriedInput, ...] = ()
     fit: tuple[float, float] = (nan, nan)
     stage: FirstDifference | None = None
-    where: tuple[str, float] = ("", nan)
+    command: str = ""
     settings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
@@ -118,7 +123,7 @@ class Attribution:
     def _cause_lines(self) -> Iterator[str]:
         suspect, reference = self.planners
         total, differing = self.frames
-        logs = counted(len(self.logs[0]), "drive")
+        logs = counted(len(self.logs), "drive")
         if self.best is not None:
             acts = ", and as if ".join(
                 change.sentence(self.period_s) for change in self.best.changes
@@ -134,6 +139,8 @@ class Attribution:
                     f"  Not separated by these frames: {names}. A log in which they differ would "
                     "decide."
                 )
+            if self.command:
+                yield f"  One frame of it: {self.command}"
         elif self.settings:
             yield f"Cause: {self.cause}. {'; '.join(self.settings)}."
             yield f"  With the same input they plan the same in all {total} frames of {logs}."
@@ -168,7 +175,7 @@ class Attribution:
             "equal_frames": self.best.same if self.best else self.frames[0] - self.frames[1],
             "frames": self.frames[0],
             "differing_frames": self.frames[1],
-            "logs": list(self.logs[0]),
+            "logs": list(self.logs),
             "stage": self.stage.stage if self.stage else None,
             "settings": list(self.settings),
             "said": self.lines(),
@@ -315,18 +322,27 @@ def attribute(
     for log in chosen:
         drive = pair.run.drive(log, pair.suspect, pair.mode)
         watch, again = watched_drive(drive, scenarios[log], pair.run.run, inf)
-        frames, plans = (
-            tuple(watch.frames),
-            tuple(plan.recorded(keep=True) for plan in watch.answers),
-        )
-        notes += refusals(log, again.trace)
-        context = replace(watch.context, lap=_no_clock)
-        drives.append(WatchedDrive(log, context, frames[: len(plans)], plans))
+        notes += [*other_drive(log, drive, again.trace), *refusals(log, again.trace)]
+        plans = tuple(plan.recorded(keep=True) for plan in watch.answers)
+        context, frames = replace(watch.context, lap=_no_clock), tuple(watch.frames[: len(plans)])
+        drives.append(WatchedDrive(log, context, frames, plans))
         traces.append(again.trace)
     say(f"{counted(len(drives), 'drive')} driven again, {len(differing)} of the run differ")
     search = InputSearch.of(Reference(pair.build_reference), drives)
-    result = _Attributing(pair, search, tuple(traces), len(first), say).result()
+    result = _Attributing(pair, search, tuple(traces), say).result()
     return replace(result, notes=tuple(notes[:MOST_NOTES]))
+
+
+def other_drive(log: str, drive: DriveResult, again: Trace) -> list[str]:
+    """That a drive does not end as in the results, in a sentence; empty if it does."""
+    ended, t_s = drive.info["end"], float(drive.info["t_end_s"])
+    if again.end.value == ended and abs(float(again.ego.t[-1]) - t_s) < SAME_TIME_S:
+        return []
+    return [
+        f"Driven again, {log} ends otherwise than in the results ({again.end.value} at "
+        f"{again.ego.t[-1]:.2f} s, {ended} at {t_s:.2f} s): the planner is not deterministic, or "
+        "has changed."
+    ]
 
 
 def refusals(log: str, trace: Trace) -> list[str]:
@@ -364,26 +380,24 @@ def _no_clock(stage: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class _Attributing:
-    """One attribution: the search, the traces of its drives, and how many of these differ."""
+    """One attribution: the search, and the traces of its drives."""
 
     pair: Pair
     search: InputSearch
     traces: tuple[Trace, ...]
-    differ: int
     say: Callable[[str], None]
     _singles: list[TriedInput] = field(default_factory=list)
 
     def result(self) -> Attribution:
         """Why the suspect drives differently."""
         drives = self.search.drives
-        logs = tuple(drive.log for drive in drives)
         self.say(f"{self._differing} of {self._total} plans differ")
         nothing = Attribution(
             (self.pair.suspect, self.pair.reference),
             "",
             drives[0].context.period,
             (self._total, self._differing),
-            (logs, self.differ),
+            tuple(drive.log for drive in drives),
         )
         if not self._differing:
             settings = self._loop_settings()
@@ -420,16 +434,31 @@ class _Attributing:
             for change in best.changes
             if isinstance(change, InputChange) and change.row.measure is not None
         ]
-        row, number = self.search.places[0] if self.search.places else (0, 0)
-        drive = self.search.drives[row]
         return replace(
             nothing,
             cause=" and ".join(causes),
             best=best,
             others=tuple(claimed[1 : 1 + SAME_AS_BEST]),
             fit=limits[0] if limits else (nan, nan),
-            where=(drive.log, drive.frames[number].t),
+            command=self._command(best.changes),
         )
+
+    def _command(self, changes: Sequence[Change]) -> str:
+        """Plans the frame that differs most with changes of the input."""
+        pair, places = self.pair, self.search.places
+        is_input = all(isinstance(change, InputChange) for change in changes)
+        has_defaults = pair.planner_settings[0] == dict(
+            flat(planner_part(pair.reference).resolved())
+        )
+        if not (is_input and places and has_defaults):  # frame builds it with its defaults
+            return ""
+        row, number = places[0]
+        drive = self.search.drives[row]
+        words = ["replan", "frame", str(pair.run.path), drive.log, "--planner", pair.suspect]
+        words += ["--mode", pair.mode, "--at", f"{drive.frames[number].t:.2f}"]
+        for change in changes:
+            words += ["--change", str(change)]
+        return shlex.join([*words, "--with", pair.reference])
 
     def _claimed(self, finalists: Sequence[Sequence[Change]]) -> list[TriedInput]:
         """Those that explain enough, the best first, and others only if they explain as much."""
@@ -484,8 +513,10 @@ class _Attributing:
     def _two_changes(self) -> list[tuple[Change, ...]]:
         """Two changes of the input."""
         self.say("no single change explains them; two changes are tried")
-        by_name = {str(tried.changes[0]).rstrip("0123456789.-"): tried for tried in self._singles}
-        firsts = [tried.changes for tried in list(by_name.values())[:FIRSTS]]
+        best_of_row: dict[str, TriedInput] = {}
+        for tried in self._singles:
+            best_of_row.setdefault(tried.changes[0].row.words, tried)
+        firsts = [tried.changes for tried in list(best_of_row.values())[:FIRSTS]]
         firsts.append((InputChange("no previous plan"),))
         for first in dict.fromkeys(firsts):
             for tried in self.search.nearer(self.search.inputs(), first)[:FEW]:
@@ -499,8 +530,7 @@ class _Attributing:
         own, _ = self.pair.planner_settings
         numbers = [SettingChange(k, v, v) for k, v in own.items() if _is_number(v)]
         self.search.nearer(numbers)
-        ranked = self.search.finalists(1, FINALISTS + len(self._singles))
-        return [changes for changes in ranked if isinstance(changes[0], SettingChange)]
+        return self.search.finalists(1, FINALISTS, SettingChange)
 
     def _first_stage(self) -> FirstDifference | None:
         """The first difference of the plans of the first drive with one."""
@@ -521,8 +551,8 @@ class _Attributing:
 
 
 def _cause_of_setting(key: str) -> str:
-    """What a setting of the loop is about."""
-    return next((cause for word, cause in CAUSES.items() if word in key), "control")
+    """What a setting beside the planner's is about."""
+    return next((cause for begin, cause in CAUSES.items() if key.startswith(begin)), "control")
 
 
 def _is_number(value: object) -> bool:

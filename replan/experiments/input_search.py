@@ -32,6 +32,8 @@ from typing import Any
 
 import numpy as np
 
+from replan.core.errors import PlannerError, raised
+from replan.core.settings import nested
 from replan.explain.input_changes import (
     CHANGES,
     EVERYBODY,
@@ -66,6 +68,7 @@ BEYOND = 3.0
 STEPS = 12
 """Steps of a refinement."""
 SETTING_SHARES = (0.2, 0.6, 1.6, 5.0)
+NOBODY = InputChange("drop agents")
 COLUMNS = ("t", "x", "y", "yaw", "v", "a")
 VEHICLES = frozenset({AgentKind.CAR, AgentKind.TRUCK, AgentKind.BUS})
 ON_FOOT_OR_BICYCLE = frozenset({AgentKind.PEDESTRIAN, AgentKind.BICYCLE})
@@ -206,22 +209,24 @@ class Reference:
         self, drive: WatchedDrive, changes: Sequence[Change], *, keep: bool = False
     ) -> Iterator[Plan | None]:
         """The plans of all frames of a drive, in order, with their artefacts if these are to be
-        kept; None where the planner raised.
+        kept; None where the planner refused a change.
+
+        PlannerError if it raises without a change.
         """
-        frames, context = changed(drive.frames, _of_frames(changes)), _of_build(changes)
+        frames = changed(drive.frames, _of_frames(changes))
         for number in range(len(frames)):
-            yield self._plan(drive, context, frames[number], keep=keep)
+            yield self._plan(drive, changes, frames[number], keep=keep)
 
     def plan_afresh(
         self, drive: WatchedDrive, changes: Sequence[Change], number: int
     ) -> Plan | None:
-        """The plan of one frame, with artefacts, by a planner without memory; None if it raised."""
+        """The plan of one frame, with artefacts, by a planner without memory; as `plans`."""
         frame = changed(drive.frames, _of_frames(changes))[number]
-        context = _of_build(changes)
-        key = drive.log, context, _digest(frame)
+        key = drive.log, _of_build(changes), _digest(frame)
         if key not in self._planned:
-            self._plan(drive, context, _emptied(frame))  # forgets what was before
-            self._planned[key] = self._plan(drive, context, frame, keep=True)
+            alone = replace(changed([frame], [NOBODY])[0], previous=None)
+            self._plan(drive, changes, alone)  # forgets what was before
+            self._planned[key] = self._plan(drive, changes, frame, keep=True)
         return self._planned[key]
 
     def is_changed(self, drive: WatchedDrive, changes: Sequence[Change]) -> bool:
@@ -236,16 +241,20 @@ class Reference:
     def _plan(
         self,
         drive: WatchedDrive,
-        context: tuple[Change, ...],
+        changes: Sequence[Change],
         frame: Frame,
         *,
         keep: bool = False,
     ) -> Plan | None:
-        """The plan of a frame as the planner made it; None if it raised."""
+        """The plan of a frame as the planner made it; errors as `plans`."""
         try:
-            return self._planner(drive, context).plan(frame).recorded(keep=keep)
-        except Exception:  # a planner may refuse a changed input, or a changed setting
-            return None
+            return self._planner(drive, _of_build(changes)).plan(frame).recorded(keep=keep)
+        except Exception as error:
+            if changes:  # a planner may refuse a changed input, or a changed setting
+                return None
+            raise PlannerError(
+                f"the baseline's planner raised on {drive.log} at {frame.t:.2f} s: {raised(error)}"
+            ) from error
 
     def _planner(self, drive: WatchedDrive, context: tuple[Change, ...]) -> Planner:
         """The planner for a drive, built with changes of the context and of its settings."""
@@ -269,30 +278,6 @@ def _of_frames(changes: Sequence[Change]) -> list[InputChange]:
     """The changes of frames."""
     inputs = [change for change in changes if isinstance(change, InputChange)]
     return [change for change in inputs if change.row.edit is not None]
-
-
-def nested(values: Mapping[str, Any]) -> dict[str, Any]:
-    """The table of values by dotted keys."""
-    table: dict[str, Any] = {}
-    for key, value in values.items():
-        *parents, last = key.split(".")
-        inner = table
-        for name in parents:
-            inner = inner.setdefault(name, {})
-        inner[last] = value
-    return table
-
-
-def _emptied(frame: Frame) -> Frame:
-    """The frame without road users, as the first one of a drive."""
-    none, predictions = np.empty(0, np.int64), frame.predictions
-    columns = {name: getattr(predictions, name)[none] for name in ("probability", "x", "y", "yaw")}
-    return replace(
-        frame,
-        agents=frame.agents.some(none),
-        predictions=replace(predictions, agent=none, **columns),
-        previous=None,
-    )
 
 
 def _digest(frame: Frame) -> bytes:
@@ -453,6 +438,8 @@ class InputSearch:
         """The changes, tried at the first `count` places."""
         key = tuple(changes), count
         if key not in self._tried:
+            if not self.places:  # memory matters in all frames: nothing can be compared alone
+                return TriedInput(key[0], inf, 0, 0)
             pairs = [
                 (
                     self.reference.plan_afresh(self.drives[row], changes, n),
@@ -516,12 +503,18 @@ class InputSearch:
         tried, base = self.at(changes, count), self.at(before, count)
         return tried.same > base.same or tried.distance < BETTER * base.distance
 
-    def finalists(self, count: int, most: int) -> list[tuple[Change, ...]]:
-        """The best `most` of all tries of `count` changes, and all that are as good as the best."""
+    def finalists(
+        self, count: int, most: int, kind: type[Change] = InputChange
+    ) -> list[tuple[Change, ...]]:
+        """The best `most` of all tries of `count` changes of a kind, and all that are as good as
+        the best.
+        """
         tries = [
             tried
             for (changes, places), tried in self._tried.items()
-            if len(changes) == count and places > GLANCE
+            if len(changes) == count
+            and places > GLANCE
+            and all(isinstance(change, kind) for change in changes)
         ]
         tries.sort(key=lambda tried: tried.order)
         as_good = sum(tried.order[:2] == tries[0].order[:2] for tried in tries)

@@ -5,7 +5,7 @@
 
 A change is a name of `CHANGES`, a value in the unit of its row, and, where the row says so, the
 kinds of road users that it is about: "shift agents left 1.5 of pedestrian, bicycle". Left and ahead
-are those of the ego at the frame. Changed agents keep their names; what is said of agents holds for
+are those of the ego at the frame. Changed agents keep their names; a change of agents holds for
 their predictions, too, unless the row says otherwise.
 """
 

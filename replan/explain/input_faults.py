@@ -1,7 +1,7 @@
 """What is wrong with the input that a drive's plans used, from all its frames.
 
 One change is searched that makes the outlines of what was shown those that the planner drew (sizes
-in steps of `GRIDS`): agents older by so many frames, displacements predicted at so much of their
+in steps of `GRIDS`): agents older by some frames, displacements predicted at a share of their
 length, or agents shifted, in the ego's frame or in their own. It must explain `MOST` of the agents
 whose outlines are off by more than `AgentUse.allowed_m`, in at least `LEAST` frames: noise of
 single frames is no fault. Changes that the drive does not tell apart are all named. Differences
@@ -35,7 +35,7 @@ SAMPLED = 24
 EQUAL_M = 0.005
 """Of sizes whose mean differences differ by less than this the middle one is taken, m."""
 SAME_M = 0.1
-"""Changes whose mean differences differ by less than this are not told apart, m."""
+"""Changes whose mean differences differ by less than this are not separated, m."""
 SHARE_OFF, PLACE_OFF_M = 0.05, 0.3
 """Least errors of the start: share of the ego's speed, and its place."""
 RARE = 0.05

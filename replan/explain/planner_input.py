@@ -36,7 +36,7 @@ BEYOND_M = 15.0
 """The path is extended by this length: a plan that stops for an agent ends before it."""
 
 ROUNDS = 3
-"""The stations along a path are found in so many rounds, since offsets depend on them."""
+"""The stations along a path are found in this number of rounds, since offsets depend on them."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)

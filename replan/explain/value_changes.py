@@ -56,7 +56,7 @@ def largest(
     unit: str,
     agents: Sequence[str] | NDArray[np.str_] = (),
 ) -> Changes:
-    """The largest difference of two columns; `agents`: whom each row is about."""
+    """The largest difference of two columns; `agents`: the agent that each row is about."""
     if len(one) != len(two):
         yield worded(f"{len(one)} -> {len(two)} values")
     elif len(one):

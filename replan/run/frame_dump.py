@@ -349,6 +349,7 @@ def _plan_with(
     context = changed_context(replace(watch.context, lap=clock.lap), changes)
     frames = tuple(changed(watch.frames, changes)) if changes else (watch.frames[-1],)
     frames = (replace(frames[0], previous=None), *frames[1:])
+    driven = watch.frames[-1] if changes else frames[-1]  # the loop checks a plan against it
     table = drive.result.run.planner.get(planner, {})
     build = planner_part(planner, table).configured()
     try:
@@ -359,9 +360,7 @@ def _plan_with(
             breakpoint()
         with record_problems() as problems:
             clock.start()
-            plan = checked(instance.plan(frames[-1]), frames[-1], context.origin).recorded(
-                keep=True
-            )
+            plan = checked(instance.plan(frames[-1]), driven, context.origin).recorded(keep=True)
             clock.stop(frames[-1].t)
     except Exception as error:
         if isinstance(error, ReplanError) or not of_users(error):

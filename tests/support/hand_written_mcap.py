@@ -18,7 +18,7 @@ def write_by_hand(
     records: Mapping[str, Mapping[str, str]] = RECORD,
     compression: CompressionType = CompressionType.ZSTD,
 ) -> Path:
-    """A log as somebody else would write it: (topic, log time, JSON value or raw bytes)."""
+    """A log as other tools write it: (topic, log time, JSON value or raw bytes)."""
     with path.open("wb") as file:
         writer: Any = Writer(file, compression=compression)
         writer.start()

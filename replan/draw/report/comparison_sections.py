@@ -246,7 +246,7 @@ def _in_common(partings: pd.DataFrame) -> list[CommonFact]:
 
 
 def _chance_notes(comparison: Comparison) -> tuple[str, ...]:
-    """What the marks of means are worth, as so many are tested."""
+    """What the marks of means are worth, since many are tested."""
     groups = comparison.groups
     tested = groups[(groups["kind"] == SUITE) & groups["low"].notna()]
     if tested.empty:

@@ -11,7 +11,8 @@ from typing import Any
 import pytest
 from command_line import replan
 
-from replan.experiments.input_search import nested, rounded
+from replan.core.settings import flat, nested
+from replan.experiments.input_search import rounded
 from replan.logs.mcap import write_scenario
 from replan.results.tables import safe_name
 from replan.run.sources import LogSource
@@ -161,4 +162,7 @@ def test_equal_planners_have_no_cause(folder: Path) -> None:
 
 def test_values_are_tried_with_few_digits_and_dotted_keys_make_tables() -> None:
     assert rounded(0.5512) == [0.6, 0.55, 0.551] and rounded(-1234.0) == [-1000.0, -1200.0, -1230.0]
-    assert nested({"a.b": 1, "a.c": 2, "d": 3}) == {"a": {"b": 1, "c": 2}, "d": 3}
+    values = {"a.b": 1, "a.c": 2, "d": 3}
+    assert (
+        nested(values) == {"a": {"b": 1, "c": 2}, "d": 3} and dict(flat(nested(values))) == values
+    )

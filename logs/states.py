@@ -65,6 +65,14 @@ class EgoState:
         """Return the point `way` m before the rear axle along the body, world, m."""
         return self.x + way * cos(self.yaw), self.y + way * sin(self.yaw)
 
+    def offset_of(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return how far ahead of the rear axle and how far to its left points `(n,)`, world, m,
+        are.
+        """
+        dx, dy = x - self.x, y - self.y
+        c, s = cos(self.yaw), sin(self.yaw)
+        return c * dx + s * dy, c * dy - s * dx
+
 
 @dataclass(frozen=True, slots=True)
 class Command:

@@ -12,7 +12,7 @@ import hashlib
 import json
 import shlex
 from dataclasses import replace
-from math import cos, nan, sin
+from math import nan
 from pathlib import Path
 from typing import Any
 
@@ -377,11 +377,9 @@ def _agent_place(trace: Trace, t: float, agent: str) -> dict[str, Any]:
     if agent not in agents.ids:
         return NO_AGENT | {"agent": agent}
     row = agents.ids.index(agent)
-    dx, dy = agents.x[row] - ego.x, agents.y[row] - ego.y
-    ahead_m = dx * cos(ego.yaw) + dy * sin(ego.yaw)
-    left_m = dy * cos(ego.yaw) - dx * sin(ego.yaw)
+    ahead_m, left_m = ego.offset_of(agents.x, agents.y)
     kind = agents.kinds[row].value
-    return {"agent": agent, "kind": kind, "ahead_m": ahead_m, "left_m": left_m}
+    return {"agent": agent, "kind": kind, "ahead_m": ahead_m[row], "left_m": left_m[row]}
 
 
 def _light_colours(scenario: Scenario, t: float) -> str:

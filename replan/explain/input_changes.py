@@ -55,10 +55,7 @@ class ChangedInput:
     @property
     def in_ego_frame(self) -> tuple[FloatArray, FloatArray]:
         """How far ahead and how far to the left of the ego's rear axle each agent is, m."""
-        ego, agents = self.frame.ego, self.frame.agents
-        dx, dy = agents.x - ego.x, agents.y - ego.y
-        c, s = cos(ego.yaw), sin(ego.yaw)
-        return c * dx + s * dy, c * dy - s * dx
+        return self.frame.ego.offset_of(self.frame.agents.x, self.frame.agents.y)
 
     def keep(self, mask: BoolArray) -> Frame:
         """The frame without those of the agents that the mask leaves out."""

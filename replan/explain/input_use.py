@@ -186,11 +186,11 @@ class InputReader:
                     is_soon = bool((slices.lower[:SOON] < frame.planned[SOON]).any())
                     needed |= {row} if is_soon else set()
         shifts = self._shifts(frame)
+        aheads, lefts = frame.ego.offset_of(shown.x, shown.y)
         for row, name in enumerate(shown.ids):
             if name not in named and row not in needed:
                 continue
-            place = np.array([shown.x[row] - frame.ego.x, shown.y[row] - frame.ego.y])
-            ahead, left = in_ego(place, frame.ego)
+            ahead, left = float(aheads[row]), float(lefts[row])
             speed = float(np.hypot(shown.vx[row], shown.vy[row]))
             pairs = [
                 (outline.difference(other, speed), outline, other)

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from replan.config import RunConfig
     from replan.contract import ContractError, check_metric, check_planner, check_reader
     from replan.core.errors import ConfigError, LogError, OutputError, PlannerError, ReplanError
-    from replan.draw.charts.canvas import Chart
+    from replan.draw.charts.chart import Chart
     from replan.draw.charts.subject import Subject
     from replan.draw.drawn_results import DriveResult, Results, load
     from replan.logs.agents import AgentKind, Agents
@@ -167,7 +167,7 @@ _NAMES = {
     "replan.config": "RunConfig",
     "replan.contract": "ContractError check_metric check_planner check_reader",
     "replan.core.errors": "ConfigError LogError OutputError PlannerError ReplanError",
-    "replan.draw.charts.canvas": "Chart",
+    "replan.draw.charts.chart": "Chart",
     "replan.draw.charts.subject": "Subject",
     "replan.draw.drawn_results": "DriveResult Results load",
     "replan.logs.agents": "AgentKind Agents",

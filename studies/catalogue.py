@@ -38,8 +38,9 @@ import pandas as pd
 from replan.config import RunConfig
 from replan.core.errors import ConfigError, ReplanError
 from replan.draw.charts.axes import Plane, rows_plane
-from replan.draw.charts.canvas import Chart, legend
+from replan.draw.charts.chart import Chart
 from replan.draw.charts.layout import GAP_PX, together
+from replan.draw.charts.legend import legend
 from replan.logs.catalogue import FAMILIES, SUITES, Family
 from replan.metrics.judge import CAREFUL, IMPACT, REFERENCE, REPLAY_CONTACT
 from replan.metrics.judge.gates import Outcome

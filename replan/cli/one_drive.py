@@ -343,7 +343,7 @@ def plot(
       replan plot results/run-001 --log paper/crossing_pedestrian --at 6.5 --chart st -o st.svg
       replan plot results/run-001 -p dp_qp -p idm --chart curves
     """
-    from replan.draw.charts.canvas import FORMATS
+    from replan.draw.charts.chart import FORMATS
     from replan.draw.charts.layout import charts_of, together
     from replan.draw.charts.subject import subject
     from replan.draw.drawn_results import load

@@ -19,7 +19,7 @@ from replan.core.files import Near
 from replan.results.load import RECORDINGS, StoredDrive, StoredRun, stored
 
 if TYPE_CHECKING:
-    from replan.draw.charts.canvas import Chart
+    from replan.draw.charts.chart import Chart
 
 
 def load(path: Path | str) -> Results:

@@ -9,7 +9,9 @@ import numpy as np
 import pandas as pd
 
 from replan.draw.charts.axes import Plane
-from replan.draw.charts.canvas import Chart, Entry, dot
+from replan.draw.charts.chart import Chart
+from replan.draw.charts.legend import Entry
+from replan.draw.charts.svg import dot
 from replan.draw.spans import widened
 
 if TYPE_CHECKING:
@@ -71,11 +73,11 @@ def falsify_figure(
         turn, away = np.linspace(0.0, 2.0 * np.pi, CIRCLE_POINTS), float(case["distance"])
         if second:
             along, up = first.scale * away * np.cos(turn), second.scale * away * np.sin(turn)
-            inside += plane.line(first.origin + along, second.origin + up, "now")
-            entries.append(("line", "now", "as far as that"))
+            inside += plane.line(first.origin + along, second.origin + up, "reference")
+            entries.append(("line", "reference", "as far as that"))
         else:
             for end in (first.origin - first.scale * away, first.origin + first.scale * away):
-                inside += plane.line(np.full(2, end), np.array(y_span), "now")
+                inside += plane.line(np.full(2, end), np.array(y_span), "reference")
     return plane.chart(
         "falsify",
         title,

@@ -9,7 +9,9 @@ import numpy as np
 import pandas as pd
 
 from replan.draw.charts.axes import Plane
-from replan.draw.charts.canvas import Chart, Entry, dot
+from replan.draw.charts.chart import Chart
+from replan.draw.charts.legend import Entry
+from replan.draw.charts.svg import dot
 from replan.draw.spans import widened
 
 DEFAULTS = "\u25cb"
@@ -54,12 +56,12 @@ def pareto_figure(
             entries.append((sign, colour, f"{name} ({selected.sum()})"))
     if len(names) == 2:
         front = table[table["pareto"]].sort_values([x, y], kind="stable")
-        inside += plane.line(front[x].to_numpy(float), front[y].to_numpy(float), "edge")
+        inside += plane.line(front[x].to_numpy(float), front[y].to_numpy(float), "front")
         over += dot(float(plane.at_x(0.0)), float(plane.at_y(0.0)), RING_PX, "ring")
         entries.append((DEFAULTS, "", "the defaults"))
     else:
-        inside += plane.line(np.array(spans[0]), np.zeros(2), "now")
-        entries.append(("line", "now", "the defaults"))
+        inside += plane.line(np.array(spans[0]), np.zeros(2), "reference")
+        entries.append(("line", "reference", "the defaults"))
     if chosen:
         over += plane.sign(chosen[x], chosen[y], CHOSEN)
         entries.append((CHOSEN, "", "chosen"))

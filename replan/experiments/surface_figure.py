@@ -9,7 +9,9 @@ import numpy as np
 import pandas as pd
 
 from replan.draw.charts.axes import Plane
-from replan.draw.charts.canvas import Chart, Entry, dot
+from replan.draw.charts.chart import Chart
+from replan.draw.charts.legend import Entry
+from replan.draw.charts.svg import dot
 from replan.experiments.brackets import Bracket
 from replan.experiments.question import SurfaceQuestion
 
@@ -99,8 +101,8 @@ def surface_figure(
     for edge in edges:
         y = edge.row[0] if edge.row else 0.0
         ends = y - grid.half[1], y + grid.half[1]
-        inside += plane.box((edge.low, edge.high), ends, "band")
-        inside += plane.line(np.full(2, edge.middle), np.array(ends), "bound")
+        inside += plane.box((edge.low, edge.high), ends, "bracket")
+        inside += plane.line(np.full(2, edge.middle), np.array(ends), "boundary")
     recorded = _recorded_point(question, grid)
     if recorded is not None:
         x, y = recorded
@@ -134,8 +136,8 @@ def _words(plane: Plane, x: float, y: float, cell: pd.Series, metric: str) -> st
     contact = " x" if cell["contact"] else ""
     warned = " !" if cell["careful"] == "unavoidable" else ""
     text = f"{letter}{gap}{contact}{warned}"
-    line = plane.words(x, y, text, "mid", -2.0 if metric else 4.0)
-    return line + plane.words(x, y, metric, "small mid", 11.0)
+    line = plane.words(x, y, text, "middle", -2.0 if metric else 4.0)
+    return line + plane.words(x, y, metric, "small middle", 11.0)
 
 
 def _entries(
@@ -150,7 +152,7 @@ def _entries(
         yield "!", "", "the careful driver of UN R157 collides"
     if edges:
         width = f"{question.resolution:.3g} {question.axes[0].unit}".rstrip()
-        yield "line", "bound", f"edge of pass, to {width}"
+        yield "line", "boundary", f"edge of pass, to {width}"
     if is_recorded:
         yield RECORDED, "", "as recorded"
     yield "x", "", "contact; the number: least gap [m]; below it: the first gate"

@@ -14,7 +14,7 @@ import pandas as pd
 
 from replan.core.names import counted, listed
 from replan.draw.charts.axes import rows_plane
-from replan.draw.charts.canvas import Chart
+from replan.draw.charts.chart import Chart
 from replan.draw.charts.layout import GAP_PX, together
 from replan.logs.catalogue import families
 from replan.mine.mine import ALONE, FASTER, ROADS, SPEEDS

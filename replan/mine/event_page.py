@@ -21,7 +21,7 @@ import pandas as pd
 
 from replan.core.errors import writing
 from replan.draw.charts.bird_view import scene
-from replan.draw.charts.canvas import Chart, stacked
+from replan.draw.charts.chart import Chart, stacked
 from replan.draw.charts.curves import Span, panel_chart
 from replan.draw.charts.subject import Moment, SceneSubject
 from replan.draw.panels import Curve, Panel
@@ -101,7 +101,7 @@ def event_picture(scenario: Scenario, trace: Trace, row: Mapping[str, Any]) -> C
         return replace(above, name=kind, title=words, says=caption)
     panel = Panel("speed", "Speed [m/s]", curves, LEAST_SPAN_MPS, floor=0.0)
     span = max(begin - AROUND_S, first), max(min(end + AROUND_S, last), first + LEAST_SPAN_S)
-    below = panel_chart(panel, span, [Span(begin, end, "", words)], shade="calm")
+    below = panel_chart(panel, span, [Span(begin, end, "", words)], shade="normal")
     return stacked([above, below], kind, words, caption)
 
 

@@ -34,7 +34,7 @@ from replan.core.arrays import FloatArray, arc_lengths
 from replan.core.errors import ConfigError, unknown_name
 from replan.draw.charts.axes import LEFT_PX, RIGHT_PX, Plane
 from replan.draw.charts.bird_view import BirdView, drawn_road, scene
-from replan.draw.charts.canvas import Chart, stacked
+from replan.draw.charts.chart import Chart, stacked
 from replan.draw.charts.curves import KINDS, Span, panel_chart, plan_graph
 from replan.draw.charts.layout import together
 from replan.draw.charts.subject import Moment, SceneSubject
@@ -83,10 +83,10 @@ def path_figure(
     plane = Plane(x, y, WIDTH_PX, 0.0)
     plane = replace(plane, height=high - plane.inner[1])
     inside = drawn_road(BirdView(plane, EgoState(0.0, 0.0, 0.0, 0.0, 0.0)), scenario)
-    inside += plane.line(planned[:, 0], planned[:, 1], "wide") + plane.line(
-        first.ego.x, first.ego.y, "a"
+    inside += plane.line(planned[:, 0], planned[:, 1], "paper_plan") + plane.line(
+        first.ego.x, first.ego.y, "curve1"
     )
-    entries = [("line", "wide", "planned"), ("line", "a", f"driven ({name})")]
+    entries = [("line", "paper_plan", "planned"), ("line", "curve1", f"driven ({name})")]
     titles = dict[str, Any](entries=entries, x_title="x [m]", y_title="y [m]")
     drawn = [plane.chart("path", "Planned and driven path", inside, **titles)]
     errors = []

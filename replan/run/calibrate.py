@@ -10,7 +10,7 @@ import numpy as np
 from replan.config import load_run
 from replan.core.errors import ConfigError
 from replan.draw.charts.axes import Plane
-from replan.draw.charts.canvas import Chart
+from replan.draw.charts.chart import Chart
 from replan.logs.states import EgoState
 from replan.logs.vehicle import VehicleParameters
 from replan.replay.control.pedals import Calibration

@@ -8,15 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from replan.core.arrays import FloatArray
-from replan.draw.charts.canvas import (
-    LEGEND_PX,
+from replan.draw.charts.chart import Chart
+from replan.draw.charts.legend import LEGEND_PX, Entry, legend, legend_rows
+from replan.draw.charts.svg import (
     LETTER_PX,
-    Chart,
-    Entry,
     area,
     group,
-    legend,
-    legend_rows,
     polyline,
     px,
     rect,
@@ -92,7 +89,7 @@ class Plane:
         """A letter or a sign at a point."""
         return text(float(self.at_x(x)), float(self.at_y(y)) + 5.0, sign, f"sign {kind}".rstrip())
 
-    def words(self, x: float, y: float, words: str, kind: str = "mid", down: float = 4.0) -> str:
+    def words(self, x: float, y: float, words: str, kind: str = "middle", down: float = 4.0) -> str:
         """Words at a point, `down` pixels below it."""
         return text(float(self.at_x(x)), float(self.at_y(y)) + down, words, kind)
 
@@ -148,7 +145,7 @@ class Plane:
             f'<path class="grid" d="{columns}{rows}"/>{inside}<path class="axis" d="M0 '
             f'0V{px(high)}H{px(wide)}"/>'
         )
-        words = f'<g class="tick mid">{columns_at}</g><g class="tick end">{rows_at}</g>{over}'
+        words = f'<g class="tick middle">{columns_at}</g><g class="tick end">{rows_at}</g>{over}'
         titles = text(self.left + wide, self.height - 3.0, x_title, "tick end")
         titles += text(2.0, self.top - 10.0, y_title, "tick") if y_title else ""
         return (

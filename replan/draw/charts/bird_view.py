@@ -14,22 +14,12 @@ import numpy as np
 
 from replan.core.arrays import FloatArray
 from replan.draw.charts.axes import Plane
-from replan.draw.charts.canvas import (
-    DRIVES,
-    LETTER_PX,
-    Chart,
-    area,
-    areas,
-    cut_line,
-    cut_outline,
-    dot,
-    legend_words,
-    polyline,
-    polylines,
-    shortened,
-    text,
-)
+from replan.draw.charts.chart import Chart
+from replan.draw.charts.legend import legend_words
+from replan.draw.charts.simplify import cut_line, cut_outline
+from replan.draw.charts.style import DRIVES
 from replan.draw.charts.subject import ASKED, SceneSubject, Subject
+from replan.draw.charts.svg import LETTER_PX, area, areas, dot, polyline, polylines, shortened, text
 from replan.draw.drawn_scene import decided, plan_seconds
 from replan.logs.agents import AgentKind, Agents
 from replan.logs.scenario import Scenario
@@ -100,7 +90,7 @@ def scene(subject: SceneSubject, t: float, word: str, about: Collection[str] = (
         )
         named_kinds = zip(DRIVES, legend_words(list(drives), WIDTH_PX - 190.0), strict=False)
         entries = [("line", kind, name) for kind, name in named_kinds]
-    entries += [("area", "other", "moves"), ("area", "still", "stands")]
+    entries += [("area", "moving", "moves"), ("area", "standing", "stands")]
     if not several:
         entries += [("line", "driven", "driven")]
         entries += [("line", "planned", "plan, dots: 1 s")] if planned and subject.frame else []
@@ -190,18 +180,18 @@ def drawn_road(view: BirdView, scenario: Scenario) -> str:
     """Lanes, crosswalks, the goal, and stop lines with the colour of their light as a word."""
     road, goal = scenario.road, scenario.goal
     lanes = list(road.lanes.values())
-    drawn = areas(view.outlines(lane.polygon for lane in lanes if not lane.drivable), "walk")
-    drawn += areas(view.outlines(lane.polygon for lane in lanes if lane.drivable), "road")
+    drawn = areas(view.outlines(lane.polygon for lane in lanes if not lane.drivable), "undrivable")
+    drawn += areas(view.outlines(lane.polygon for lane in lanes if lane.drivable), "drivable")
     drawn += polylines(
-        view.lines(side for lane in lanes for side in (lane.left, lane.right)), "lane"
+        view.lines(side for lane in lanes for side in (lane.left, lane.right)), "lane_side"
     )
-    drawn += areas(view.outlines(walk.polygon for walk in road.crosswalks), "zebra")
+    drawn += areas(view.outlines(walk.polygon for walk in road.crosswalks), "crosswalk")
     drawn += areas(view.outlines(() if goal is None else goal.regions), "goal")
     lights = {light.id: light for light in scenario.lights}
     for stop in road.stop_lines:
         ends = view.of(stop.points)
         if view.sees(ends):
-            drawn += polyline(ends[:, 0], ends[:, 1], "stop")
+            drawn += polyline(ends[:, 0], ends[:, 1], "stop_line")
             if stop.light in lights:
                 word = lights[stop.light].at(view.ego.t).value
                 drawn += text(
@@ -214,7 +204,7 @@ def _foreseen(view: BirdView, subject: SceneSubject) -> str:
     """The predictions of other road users in the newest frame."""
     futures = None if subject.frame is None else subject.frame.predictions
     paths = () if futures is None else map(np.column_stack, zip(futures.x, futures.y, strict=True))
-    return polylines(view.lines(paths), "foreseen")
+    return polylines(view.lines(paths), "predicted")
 
 
 def _path(view: BirdView, subject: SceneSubject, kind: str, *, planned: bool) -> str:
@@ -225,7 +215,8 @@ def _path(view: BirdView, subject: SceneSubject, kind: str, *, planned: bool) ->
         plan = subject.frame.plan.trajectory
         drawn += polylines(view.lines([np.column_stack([plan.x, plan.y])]), kind)
         drawn += "".join(
-            dot(x, y, 2.4, "second") for x, y in view.of(plan_seconds(subject.frame.plan)).tolist()
+            dot(x, y, 2.4, "plan_second")
+            for x, y in view.of(plan_seconds(subject.frame.plan)).tolist()
         )
     return drawn
 
@@ -239,7 +230,7 @@ def _box(view: BirdView, subject: SceneSubject, ego: EgoState) -> str:
     ahead = np.array([np.cos(ego.yaw), np.sin(ego.yaw)])
     front = box[np.argsort(around @ ahead)[2:]]
     nose = np.vstack([front[0], view.of(np.array([[x, y]]))[0], front[1]])
-    return area(box[:, 0], box[:, 1], "ego") + polyline(nose[:, 0], nose[:, 1], "nose")
+    return area(box[:, 0], box[:, 1], "ego") + polyline(nose[:, 0], nose[:, 1], "ego_front")
 
 
 def _other(view: BirdView, agents: Agents, row: int, *, pointed: bool) -> str:
@@ -252,13 +243,13 @@ def _other(view: BirdView, agents: Agents, row: int, *, pointed: bool) -> str:
     if not view.sees(box):
         return ""
     moving = float(np.nan_to_num(agents.speed[row])) > SLOW_MPS
-    kind = "other" if moving else "still"
+    kind = "moving" if moving else "standing"
     if pointed:
-        kind = "wrong"
+        kind = "pointed_out"
     center = np.array([agents.x[row], agents.y[row]])
     velocity = np.array([agents.vx[row], agents.vy[row]])
     ends = view.of(np.array([center, center + ARROW_S * velocity]))
-    arrow = polyline(ends[:, 0], ends[:, 1], "heading") if moving else ""
+    arrow = polyline(ends[:, 0], ends[:, 1], "velocity") if moving else ""
     small = max(float(np.ptp(box[:, 0])), float(np.ptp(box[:, 1]))) < 2.0 * SMALL_PX
     if small or agents.kinds[row] is AgentKind.PEDESTRIAN:
         return arrow + dot(float(ends[0, 0]), float(ends[0, 1]), SMALL_PX, kind)
@@ -297,7 +288,7 @@ def _names(
         )
         if free:
             placed.append((x, y, half))
-            labels.append(text(x, y, words, "name mid"))
+            labels.append(text(x, y, words, "label middle"))
         return free
 
     for name, ego in egos.items():  # at the edge, with its distance, if it is out of view

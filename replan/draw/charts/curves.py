@@ -16,17 +16,11 @@ import numpy as np
 from replan.core.arrays import FloatArray
 from replan.core.names import ShortNames
 from replan.draw.charts.axes import LEFT_PX, Plane, rows_plane
-from replan.draw.charts.canvas import (
-    DRIVES,
-    LETTER_PX,
-    Chart,
-    legend_words,
-    line,
-    rect,
-    shortened,
-    text,
-)
+from replan.draw.charts.chart import Chart
+from replan.draw.charts.legend import legend_words
+from replan.draw.charts.style import DRIVES
 from replan.draw.charts.subject import SceneSubject, Subject
+from replan.draw.charts.svg import LETTER_PX, line, rect, shortened, text
 from replan.draw.drawn_scene import decided as plan_decisions
 from replan.draw.panels import Panel, compared_panels, panels
 from replan.draw.plan_graphs import SL, ST, DrawnGraph, GraphKind, graph_axes
@@ -36,7 +30,7 @@ from replan.logs.plan import PlanStatus, PlanSummary
 
 WIDTH_PX, HEIGHT_PX = 440.0, 168.0
 # Classes of the curves of a panel, in their order: solid, long dashes, dots, thin
-KINDS = ("a", "b", "c", "d")
+KINDS = ("curve1", "curve2", "curve3", "curve4")
 LEAST_PX = 3.0
 BOLD_PX = 6.8  # Width of a letter of a warning, pixels
 NAME_PX = 90.0  # Largest width of a drive's name before a warning, pixels
@@ -106,11 +100,11 @@ def panel_chart(
         left = min(max(left, 0.0), wide - LEAST_PX)
         right = max(right, left + LEAST_PX)
         inside += rect(left, 0.0, right - left, high, shade, span.why)
-        inside += line(left, 0.0, left, high, "edge") if span.word else ""
+        inside += line(left, 0.0, left, high, "onset") if span.word else ""
         room = BOLD_PX * len(span.word) + 2.0
         word_x = min(left + 2.0, wide - room)
         if word_x > until:
-            words += text(word_x, 9.0, span.word, "warn")
+            words += text(word_x, 9.0, span.word, "warning")
             until = word_x + room
     # The first on top
     inside += "".join(plane.line(curve.t, curve.values, kind) for curve, kind in shown[::-1])
@@ -145,7 +139,7 @@ def panel_chart(
 def now_line(plane: Plane, t: float) -> str:
     """A vertical line at the moment of the subject."""
     x = min(max(float(plane.at_x(t)), 1.0), plane.inner[0] - 1.0)
-    return line(x, 0.0, x, plane.inner[1], "now")
+    return line(x, 0.0, x, plane.inner[1], "reference")
 
 
 ROWS_PX, ROW_PX, TOP_PX = 900.0, 20.0, 22.0
@@ -172,7 +166,7 @@ class SpanRow:
 
     name: str
     spans: tuple[Span, ...]
-    kind: str = "bar"
+    kind: str = "decision"
 
     @property
     def duration_s(self) -> float:
@@ -199,7 +193,7 @@ def statuses(plans: Sequence[PlanSummary], end: float) -> SpanRow:
     spans: list[Span] = []
     for plan, stop in _until(plans, end):
         _extend(spans, Span(plan.t, stop, STATUS_WORDS[plan.status], plan.reason))
-    return SpanRow("plan", tuple(spans), "calm")
+    return SpanRow("plan", tuple(spans), "normal")
 
 
 def _until(plans: Sequence[PlanSummary], end: float) -> Iterable[tuple[PlanSummary, float]]:
@@ -237,7 +231,7 @@ def decisions(subject: Subject, width: float = ROWS_PX) -> Chart:
     title = "Decisions, plans and broken gates over time"
     if not rows:
         body = text(2.0, 13.0, title, "title") + text(
-            0.5 * width, 40.0, "the drive has no plans", "says"
+            0.5 * width, 40.0, "the drive has no plans", "empty"
         )
         return Chart("decisions", title, f"{title}: the drive has no plans", width, 56.0, body)
     plane, names = rows_plane(
@@ -246,7 +240,7 @@ def decisions(subject: Subject, width: float = ROWS_PX) -> Chart:
     bars = "".join(_bars(plane, row, k) for k, row in enumerate(rows)) + now_line(
         plane, subject.moment.t
     )
-    silent = not any(row.kind == "bar" for row in rows)
+    silent = not any(row.kind == "decision" for row in rows)
     says = "; ".join(
         f"{row.name}: "
         + ", ".join(f"{span.word} {span.begin:.1f} to {span.end:.1f} s" for span in row.spans[:6])
@@ -266,7 +260,7 @@ def _bars(plane: Plane, row: SpanRow, k: int) -> str:
         wide, y = max(right - left, LEAST_PX), ROW_PX * k
         why = f" ({span.why})" if span.why else ""
         about = f"{row.name}: {span.word}, {span.begin:.2f} to {span.end:.2f} s{why}"
-        kind = "alarm" if row.kind == "calm" and span.word not in CALM else row.kind
+        kind = "alarm" if row.kind == "normal" and span.word not in CALM else row.kind
         elements.append(rect(left, y + 3.0, wide, ROW_PX - 6.0, kind, about))
         needed = LETTER_PX * len(span.word) + 6.0
         after = ends[i + 1, 0] if i + 1 < len(row.spans) else plane.inner[0]
@@ -312,7 +306,7 @@ def plan_graph(subject: SceneSubject, kind: GraphKind, why: str) -> Chart:
     title = f"{kind.title} of the plan at {subject.moment.t if frame is None else frame.t:.1f} s"
     graph = None if frame is None else DrawnGraph.of(frame.plan, kind)
     if graph is None:
-        body = text(2.0, 13.0, title, "title") + text(GRAPH_PX[0] / 2.0, 44.0, why, "says")
+        body = text(2.0, 13.0, title, "title") + text(GRAPH_PX[0] / 2.0, 44.0, why, "empty")
         return Chart(kind.name, title, f"{title}: {why}", GRAPH_PX[0], 64.0, body)
     x, y = graph_axes([graph], kind) or ((0.0, 1.0), (0.0, kind.least))
     plane, inside = Plane((x[0] + graph.begin, x[1] + graph.begin), y, GRAPH_PX[0], GRAPH_PX[1]), ""
@@ -323,13 +317,15 @@ def plan_graph(subject: SceneSubject, kind: GraphKind, why: str) -> Chart:
             np.clip(bound, *bounds) for bound in (graph.corridor.lower, graph.corridor.upper)
         )
         inside += plane.area(
-            np.r_[graph.corridor.first, graph.corridor.first[::-1]], np.r_[low, high[::-1]], "room"
+            np.r_[graph.corridor.first, graph.corridor.first[::-1]],
+            np.r_[low, high[::-1]],
+            "corridor",
         )
     for obstacle in graph.obstacles:
         if len(obstacle.outline) > 2:
             abscissas, ordinates = obstacle.outline.T
             inside += plane.area(
-                abscissas, ordinates, "ignored" if obstacle.is_ignored else "thing"
+                abscissas, ordinates, "ignored" if obstacle.is_ignored else "obstacle"
             )
     boxes = list[FloatArray]()
     if frame is not None and kind is SL and len(graph.qp) > 1:
@@ -338,15 +334,15 @@ def plan_graph(subject: SceneSubject, kind: GraphKind, why: str) -> Chart:
         boxes = next(iter(actual_occupancy(subject.trace, subject.scenario)))
     for box in boxes:
         ring = np.vstack([box, box[:1]])
-        inside += plane.line(ring[:, 0], ring[:, 1], "c")
+        inside += plane.line(ring[:, 0], ring[:, 1], "true_box")
     for points, name in ((graph.dp, "dp"), (graph.qp, "qp")):
         inside += plane.line(points[:, 0], points[:, 1], name) if len(points) else ""
     entries = (
         (len(graph.qp), ("line", "qp", "QP")),
         (len(graph.dp), ("line", "dp", "DP")),
-        (graph.corridor, ("area", "room", "corridor")),
-        (graph.obstacles, ("area", "thing", "obstacle")),
-        (boxes, ("line", "c", "true box")),
+        (graph.corridor, ("area", "corridor", "corridor")),
+        (graph.obstacles, ("area", "obstacle", "obstacle")),
+        (boxes, ("line", "true_box", "true box")),
     )
     named = ", ".join(
         f"{obstacle.of.agent}: {obstacle.of.decision.value}" for obstacle in graph.obstacles
@@ -384,5 +380,5 @@ def _labels(plane: Plane, graph: DrawnGraph, short: ShortNames) -> str:
         taken.append(label_y)
         half = 0.5 * LETTER_PX * len(words)
         label_x = min(max(0.5 * (float(x.min()) + float(x.max())), half + 2.0), wide - half)
-        labels += text(label_x, min(max(label_y, 11.0), high - 3.0), words, "name mid")
+        labels += text(label_x, min(max(label_y, 11.0), high - 3.0), words, "label middle")
     return labels

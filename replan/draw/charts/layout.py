@@ -13,9 +13,10 @@ from typing import Any
 from replan.core.errors import raised
 from replan.core.extension import ExtensionKind
 from replan.draw.charts.bird_view import scenes
-from replan.draw.charts.canvas import Chart, group, shortened, text
+from replan.draw.charts.chart import Chart
 from replan.draw.charts.curves import curves, decisions, sl_graph, st_graph
 from replan.draw.charts.subject import Subject
+from replan.draw.charts.svg import group, shortened, text
 from replan.results.tables import safe_name
 
 Draw = Callable[[Subject], "Chart | Sequence[Chart]"]

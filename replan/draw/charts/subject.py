@@ -35,7 +35,7 @@ NEAREST = (
     ("gap.min", "least distance to another road user"),
 )
 """Metrics that give the moment if no gate failed at a known time."""
-MOST = 4  # Most drives in one picture: the eye does not tell more lines apart (`canvas.DRIVES`)
+MOST = 4  # Most drives in one picture: the eye does not tell more lines apart (`style.DRIVES`)
 ASKED = "as asked"  # The reason for a moment that was asked for
 NAMES: tuple[Callable[[StoredDrive], str], ...] = (
     lambda drive: drive.planner.rpartition(":")[2],

@@ -15,7 +15,7 @@ from markupsafe import Markup
 from replan.core.errors import LogError, ReplanError, described
 from replan.draw.charts import subject
 from replan.draw.charts.bird_view import place_of_moment
-from replan.draw.charts.canvas import Chart
+from replan.draw.charts.chart import Chart
 from replan.draw.charts.curves import panel_chart
 from replan.draw.charts.layout import BROKEN, placed
 from replan.draw.charts.subject import Subject
@@ -135,4 +135,4 @@ def input_panel(table: pd.DataFrame) -> Panel | None:
 
 def chart_markup(chart: Chart) -> Markup:
     """A chart in a page."""
-    return Markup(chart.inline())  # canvas escapes every word
+    return Markup(chart.inline())  # svg.py escapes every word

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from replan.core.errors import writing
 from replan.core.names import counted
-from replan.draw.charts.canvas import Chart
+from replan.draw.charts.chart import Chart
 from replan.draw.report.attempts import Attempts
 from replan.draw.report.comparison_sections import comparison_sections
 from replan.draw.report.drive_page import DrivePage, chart_markup, drive_page

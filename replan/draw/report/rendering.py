@@ -20,7 +20,8 @@ from xml.sax.saxutils import quoteattr
 from jinja2 import Environment, FunctionLoader, StrictUndefined, select_autoescape
 from markupsafe import Markup
 
-from replan.draw.charts.canvas import RULES, filled, printable, roles
+from replan.draw.charts.style import RULES, filled, roles
+from replan.draw.charts.svg import printable
 from replan.draw.report.section import MISSING, Cell, unit_suffix
 from replan.metrics.judge.gates import Outcome
 

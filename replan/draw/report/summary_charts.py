@@ -13,7 +13,8 @@ import pandas as pd
 from replan.core.arrays import FloatArray
 from replan.core.names import counted
 from replan.draw.charts.axes import Plane, Ticks, rows_plane
-from replan.draw.charts.canvas import Chart, dot, line, rect, text
+from replan.draw.charts.chart import Chart
+from replan.draw.charts.svg import dot, line, rect, text
 from replan.draw.report.drive_table import MetricColumn
 from replan.draw.report.overview import Overview, share_words
 from replan.draw.report.run_sections import group_name
@@ -29,10 +30,10 @@ MOST_MOVED = 6  # Largest number of metrics of a comparison that are drawn
 FEW = 5  # A box of quartiles is drawn for more values than this
 LEAST_DIFFERENT = 3  # A distribution of fewer different values is not drawn
 STAGGER_PX = (0.0, -3.0, 3.0)  # Neighbouring dots are apart from each other
-SHARE_MARKS = (("dot", "mark", "all pass"), ("dot", "hollow", "some do not"))
+SHARE_MARKS = (("dot", "filled", "all pass"), ("dot", "hollow", "some do not"))
 MOVE_MARKS = (
     ("dot", "hollow", "baseline"),
-    ("dot", "mark", "candidate"),
+    ("dot", "filled", "candidate"),
     ("line", "better", "better"),
     ("line", "worse", "worse"),
 )
@@ -60,7 +61,7 @@ def pass_shares(over: Overview) -> Chart | None:
             (high, y - 4, high, y + 4),
         ):
             marks += line(x_from, y_from, x_to, y_to, "whisker")
-        kind = "mark" if row.passed == row.logs else "hollow"
+        kind = "filled" if row.passed == row.logs else "hollow"
         marks += dot(share, y, 4.5, kind, f"{group_name(row)}: {share_words(row)}")
         count = f"{row.passed}/{row.logs}"
         if high > width - COUNT_PX:
@@ -109,11 +110,11 @@ def _distribution(column: MetricColumn, strips: dict[str, list[tuple[float, str]
         y, row = ROW_PX * (k + 0.5), values[name]
         if len(row) > FEW:
             left, median, right = plane.at_x(np.percentile(row, (25.0, 50.0, 75.0))).tolist()
-            marks += rect(left, y - 6.0, right - left, 12.0, "box")
+            marks += rect(left, y - 6.0, right - left, 12.0, "quartiles")
             marks += line(median, y - 6.0, median, y + 6.0, "whisker")
         for n, (x, (value, log)) in enumerate(zip(plane.at_x(row).tolist(), strip, strict=True)):
             y_dot = y + STAGGER_PX[n % len(STAGGER_PX)]
-            marks += dot(x, y_dot, 2.6, "speck", f"{log}: {value:.4g}")
+            marks += dot(x, y_dot, 2.6, "log_dot", f"{log}: {value:.4g}")
         span = f"{row.min():.3g} to {row.max():.3g}, median {np.median(row):.3g}"
         words.append(f"{name}: {span}, {counted(len(row), 'log')}")
     title = f"{column.words}, {column.mode} loop"
@@ -156,7 +157,7 @@ def _moved(pairs: pd.DataFrame, title: str) -> Chart:
         y, worse = ROW_PX * (k + 0.5), row.worse > 0.0
         marks += line(before, y, after, y, "worse" if worse else "better")
         marks += dot(before, y, 4.0, "hollow", f"baseline {row.baseline:.4g}")
-        kind = "wrong" if worse else "mark"
+        kind = "regressed" if worse else "filled"
         marks += dot(after, y, 4.0, kind, f"candidate {row.candidate:.4g}")
     first = rows[0]
     unit = "" if first.unit in NO_UNIT else f" [{first.unit}]"

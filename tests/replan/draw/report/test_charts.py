@@ -23,22 +23,12 @@ from replan.config import RunConfig
 from replan.core.errors import ConfigError
 from replan.draw.charts import Chart, curves, decisions, scenes, sl_graph, st_graph, subject
 from replan.draw.charts.bird_view import BirdView, _plane
-from replan.draw.charts.canvas import (
-    DARK,
-    KEPT_PX,
-    LIGHT,
-    RULES,
-    cut_line,
-    cut_outline,
-    polyline,
-    px,
-    simplified,
-    stylesheet,
-    text,
-)
 from replan.draw.charts.curves import decided, statuses
 from replan.draw.charts.layout import charts_of
+from replan.draw.charts.simplify import KEPT_PX, cut_line, cut_outline, simplified
+from replan.draw.charts.style import DARK, DRIVES, LIGHT, RULES, stylesheet
 from replan.draw.charts.subject import gravity, violations, worst_moment
+from replan.draw.charts.svg import polyline, px, text
 from replan.draw.drawn_results import Results, load
 from replan.draw.spans import ticks
 from replan.explain.drive_events import events
@@ -47,6 +37,7 @@ from replan.logs.plan import Decision, DecisionKind, LaneOption, PlanStatus, Pla
 from replan.logs.states import EgoState
 from replan.run import evaluate_logs
 
+ROOT = Path(__file__).parents[4]
 LOG = "paper/crossing_pedestrian"
 PIXELS = st.floats(-500.0, 500.0)
 LINES = hnp.arrays(np.float64, st.tuples(st.integers(2, 60), st.just(2)), elements=PIXELS)
@@ -139,6 +130,29 @@ def test_names_from_logs_are_escaped_in_svg() -> None:
     drawn = text(0.0, 0.0, hostile, about=hostile.replace("\x00", ""))
     assert "<script" not in drawn and "\x00" not in drawn
     ET.fromstring(drawn)
+
+
+def _classes(rules: str) -> set[str]:
+    return set(re.findall(r"\.([a-z]\w*)", re.sub(r"{.*?}", "", rules)))
+
+
+def test_each_class_of_the_style_is_used() -> None:
+    """A chart names its classes in text, alone or with others."""
+    words = {"chart", *DRIVES}
+    for path in [*(ROOT / "replan").rglob("*.py"), *(ROOT / "studies").glob("*.py")]:
+        source = path.read_text(encoding="utf-8")
+        if "draw.charts" in source and path.name != "style.py":
+            for quoted in re.findall(r'"([a-z][a-z_0-9 ]*)', source):
+                words.update(quoted.split())
+    assert not _classes(RULES) - words
+
+
+def test_each_class_of_a_drawn_chart_has_a_style(run: Results) -> None:
+    drives = [run.drive(LOG, planner) for planner in ("dp_qp", "constant_speed")]
+    for seen in (subject(drives[0]), subject(drives[1]), subject(drives[0], 3.0, drives[1:])):
+        for chart in charts_of(seen, "all", 1400):
+            for names in re.findall(r'class="([^"]*)"', chart.body):
+                assert set(names.split()) <= _classes(RULES), chart.name
 
 
 def test_both_themes_have_the_same_roles_and_enough_contrast() -> None:
@@ -439,7 +453,7 @@ def test_several_drives_of_a_log_are_in_one_picture_and_told_apart(run: Results)
         words = "".join(root.itertext())
         assert "dp_qp" in words and "constant_speed" in words, chart.name
         assert not re.search(r"nan|inf\b|<script|id=", chart.body), chart.name
-    assert 'class="one"' in by_name["speed"].body and 'class="two"' in by_name["speed"].body
+    assert 'class="drive1"' in by_name["speed"].body and 'class="drive2"' in by_name["speed"].body
     assert (
         "\u26a0 constant_speed: ttc" in by_name["ttc"].body
         and "constant_speed: collision" in by_name["gap_gap"].says

@@ -67,6 +67,13 @@ def stopping(t: np.ndarray, v: float, begin: float, decel: float) -> np.ndarray:
     return np.maximum(v - decel * np.maximum(t - begin, 0.0), 0.0)
 
 
+def lead_car(x: float, speeds: np.ndarray, moved_m: np.ndarray | float = 0.0) -> Agent:
+    """Drives along x at speeds at the times `T`; its samples lie elsewhere by `moved_m`."""
+    travelled = np.cumsum(0.5 * np.diff(T) * (speeds[1:] + speeds[:-1]))
+    places = x + np.r_[0.0, travelled] + moved_m
+    return car("lead", lambda t: (np.interp(t, T, places), np.zeros(len(t)), np.zeros(len(t))))
+
+
 def walker(x: float, v: float, at: float) -> Agent:
     """Crosses the lane from the right; is in its middle at a time."""
     return car("w", moving(x, -v * at, 0.0, v), AgentKind.PEDESTRIAN, WALKER)
@@ -82,9 +89,9 @@ def test_cut_in_and_cut_out_name_the_car_and_the_gap() -> None:
     assert event.agents == ("7",) and 4.0 < event.begin < 6.0
     assert event.value == pytest.approx(25.0 - 0.5 * CAR[0] - into.vehicle.axle_to_front, abs=0.3)
     out = scenario(along(T, 10.0), [car("7", sideways(25.0, 10.0, 0.0, 3.5, 4.0))])
-    assert [event.agents for event in found(out)["cut_out"]] == [("7",)] and "cut_in" not in found(
-        out
-    )
+    events = found(out)
+    assert [event.agents for event in events["cut_out"]] == [("7",)]
+    assert "cut_in" not in events
 
 
 def test_a_car_that_stays_in_its_lane_neither_cuts_in_nor_out() -> None:
@@ -103,46 +110,49 @@ def test_a_lane_change_of_the_ego_is_no_cut_in_of_another_vehicle() -> None:
     assert [event.what for event in events["lane_change"]] == ["left"]
 
 
-def test_hard_braking_of_ego_and_lead() -> None:
-    v = stopping(T, 14.0, 4.0, 5.0)
-    own = scenario(along(T, v))
-    (event,) = found(own)["hard_braking"]
-    assert event.value == pytest.approx(-5.0, abs=0.3) and 3.9 < event.begin < 4.8
-    x = 40.0 + np.r_[0.0, np.cumsum(0.5 * np.diff(T) * (v[1:] + v[:-1]))]
-    lead = car("lead", lambda t: (np.interp(t, T, x), np.zeros(len(t)), np.zeros(len(t))))
-    gentle = along(T, stopping(T, 14.0, 4.5, 2.5))
-    assert [event.agents for event in found(scenario(gentle, [lead]))["lead_braking"]] == [
-        ("lead",)
-    ]
+def test_hard_braking_of_the_ego_has_its_deceleration() -> None:
+    (event,) = found(scenario(along(T, stopping(T, 14.0, 4.0, 5.0))))["hard_braking"]
+    assert event.value == pytest.approx(-5.0, abs=0.3)
+    assert 3.9 < event.begin < 4.8
+
+
+GENTLE = stopping(T, 14.0, 4.5, 2.5)
+
+
+def test_hard_braking_of_the_lead_is_an_event_of_the_lead() -> None:
+    log = scenario(along(T, GENTLE), [lead_car(40.0, stopping(T, 14.0, 4.0, 5.0))])
+    assert [event.agents for event in found(log)["lead_braking"]] == [("lead",)]
+
+
+def braking(jump_m: float, decel: float, step: int) -> list[Event]:
+    """The braking of a lead of which one sample, of another step, lies back by a jump."""
+    lead = lead_car(30.0, stopping(T, 14.0, 4.0, decel), -jump_m * (np.arange(len(T)) == step))
+    return found(scenario(along(T, GENTLE), [lead]), "lead_braking").get("lead_braking", [])
 
 
 @given(st.floats(3.0, 10.0), st.integers(30, 60), st.floats(2.0, 8.0))
 @settings(max_examples=12)
-def test_a_label_that_jumps_is_no_braking_and_real_braking_is_no_jump(
+def test_braking_of_a_lead_whose_label_jumps_is_in_doubt_and_no_harder_than_tyres(
     decel: float, step: int, jump: float
 ) -> None:
-    v = stopping(T, 14.0, 4.0, decel)
-    x = 30.0 + np.r_[0.0, np.cumsum(0.5 * np.diff(T) * (v[1:] + v[:-1]))]
+    for event in braking(jump, decel, step):
+        assert event.doubt == JUMPS
+        assert event.value >= -TYRES_MPS2
 
-    def lead(jumps: float) -> Agent:
-        at = x - jumps * (np.arange(len(T)) == step)
-        return car("lead", lambda t: (np.interp(t, T, at), np.zeros(len(t)), np.zeros(len(t))))
 
-    ego = along(T, stopping(T, 14.0, 4.5, 2.5))
-    for jumps in (0.0, jump):
-        events = found(scenario(ego, [lead(jumps)]), "lead_braking").get("lead_braking", [])
-        assert all(event.value >= -TYRES_MPS2 for event in events)
-        if not jumps and decel > 3.3:
-            assert [event.doubt for event in events] == [""]
+@given(st.floats(3.4, 10.0))
+@settings(max_examples=12)
+def test_a_lead_that_brakes_is_one_event_without_doubt(decel: float) -> None:
+    assert [event.doubt for event in braking(0.0, decel, 0)] == [""]
 
 
 def test_the_ego_slows_behind_a_lead_and_not_by_itself() -> None:
-    v = stopping(T, 10.0, 4.0, 2.0)
-    x = 25.0 + np.r_[0.0, np.cumsum(0.5 * np.diff(T) * (v[1:] + v[:-1]))]
-    lead = car("lead", lambda t: (np.interp(t, T, x), np.zeros(len(t)), np.zeros(len(t))))
     ego = along(T, stopping(T, 10.0, 4.5, 2.0))
+    lead = lead_car(25.0, stopping(T, 10.0, 4.0, 2.0))
     (event,) = found(scenario(ego, [lead]))["ego_slows"]
-    assert event.agents == ("lead",) and 4.0 <= event.begin < 5.5 and event.value > 8.0
+    assert event.agents == ("lead",)
+    assert 4.0 <= event.begin < 5.5
+    assert event.value > 8.0
     assert "ego_slows" not in found(scenario(ego))
 
 
@@ -156,20 +166,23 @@ def test_a_cyclist_who_crosses_does_not_ride_along() -> None:
     assert "cyclist_crossing" not in found(scenario(ego, [riding]))
 
 
-def test_a_contact_has_its_speed_and_its_doubts() -> None:
-    ego = along(T, 10.0)
-    stands = car("7", moving(60.0, 0.5, 0.0, 0.0, 0.0))
-    (event,) = found(scenario(ego, [stands]))["contact"]
-    assert (
-        event.agents == ("7",) and event.value == pytest.approx(10.0, abs=0.1) and event.doubt == ""
-    )
-    (event,) = found(
-        scenario(ego, [("7", AgentKind.OBJECT, CAR, moving(60.0, 0.5, 0.0, 0.0, 0.0))])
-    )["contact"]
+def contacts(y: float, kind: AgentKind = AgentKind.CAR) -> list[Event]:
+    """With a vehicle that stands in the ego's way, at an offset from its middle."""
+    stands = car("7", moving(60.0, y, 0.0, 0.0, 0.0), kind)
+    return found(scenario(along(T, 10.0), [stands])).get("contact", [])
+
+
+def test_a_contact_has_its_speed() -> None:
+    (event,) = contacts(0.5)
+    assert (event.agents, event.doubt) == (("7",), "")
+    assert event.value == pytest.approx(10.0, abs=0.1)
+    assert contacts(3.0) == []
+
+
+def test_a_contact_with_an_unclassified_road_user_or_of_a_few_centimetres_is_in_doubt() -> None:
+    (event,) = contacts(0.5, AgentKind.OBJECT)
     assert event.doubt == UNCLASSIFIED
-    assert "contact" not in found(scenario(ego, [car("7", moving(60.0, 3.0, 0.0, 0.0, 0.0))]))
-    aside = 0.5 * (CAR[1] + scenario(ego).vehicle.width) - 0.1
-    (event,) = found(scenario(ego, [car("7", moving(60.0, aside, 0.0, 0.0, 0.0))]))["contact"]
+    (event,) = contacts(0.5 * (CAR[1] + scenario(along(T, 10.0)).vehicle.width) - 0.1)
     assert event.doubt == SHALLOW
 
 
@@ -177,7 +190,7 @@ def test_a_queue_is_three_or_more_vehicles_that_stand_in_the_band() -> None:
     stand = [car(str(i), moving(60.0 + 8.0 * i, 0.0, 0.0, 0.0, 0.0)) for i in range(4)]
     ego = along(T, stopping(T, 10.0, 2.0, 2.0))
     (event,) = found(scenario(ego, stand))["standing_queue"]
-    assert event.value == 4.0 and event.agents == ("0", "1", "2", "3")
+    assert (event.value, event.agents) == (4.0, ("0", "1", "2", "3"))
     assert "standing_queue" not in found(scenario(ego, stand[:2]))
 
 
@@ -204,21 +217,24 @@ def test_a_close_pass_has_the_distance_to_a_cyclist_and_to_a_parked_car() -> Non
     )
 
 
-def test_crossing_and_jaywalking_are_told_apart_by_the_map() -> None:
-    people = [walker(40.0, 1.4, 5.0)]
-    ego = along(T, stopping(T, 8.0, 2.0, 2.0))
-    no_map = scenario(ego, people)
-    assert "jaywalking" not in found(no_map) and len(found(no_map)["pedestrian_crossing"]) == 1
-    square = np.array([[38.0, -4.0], [42.0, -4.0], [42.0, 4.0], [38.0, 4.0]])
-    road = straight_road()
-    on = replace(no_map, road=replace(road, crosswalks=(Crosswalk(1, square),)))
-    off = replace(
-        no_map, road=replace(road, crosswalks=(Crosswalk(1, square + np.array([30.0, 0.0])),))
-    )
-    assert "jaywalking" not in found(on) and len(found(off)["jaywalking"]) == 1
-    assert [event.what for event in found(scenario(along(T, 8.0), road=on.road))["crosswalk"]] == [
-        "crosswalk 1"
-    ]
+CROSSWALK = np.array([[38.0, -4.0], [42.0, -4.0], [42.0, 4.0], [38.0, 4.0]])
+
+
+def test_only_the_map_says_that_a_pedestrian_who_crosses_jaywalks() -> None:
+    log = scenario(along(T, stopping(T, 8.0, 2.0, 2.0)), [walker(40.0, 1.4, 5.0)])
+    events = found(log)
+    assert "jaywalking" not in events
+    assert len(events["pedestrian_crossing"]) == 1
+    for shift, times in ((0.0, 0), (30.0, 1)):
+        walk = Crosswalk(1, CROSSWALK + np.array([shift, 0.0]))
+        on_road = replace(log, road=replace(straight_road(), crosswalks=(walk,)))
+        assert len(found(on_road).get("jaywalking", [])) == times
+
+
+def test_a_crosswalk_on_the_egos_path_is_an_event() -> None:
+    road = replace(straight_road(), crosswalks=(Crosswalk(1, CROSSWALK),))
+    (event,) = found(scenario(along(T, 8.0), road=road))["crosswalk"]
+    assert event.what == "crosswalk 1"
 
 
 def test_a_pedestrian_along_the_road_does_not_cross() -> None:
@@ -233,34 +249,34 @@ def test_a_log_without_kinds_is_not_asked_for_pedestrians() -> None:
     )
 
 
-def test_the_second_of_two_crossing_road_users_yields() -> None:
-    v = np.where(
-        T < 2.0, 8.0, np.maximum(8.0 - 2.0 * (T - 2.0), np.where(T > 7.0, 2.0 * (T - 7.0), 0.0))
-    )
+def test_the_ego_that_goes_second_yields() -> None:
+    slows, goes_on = np.maximum(8.0 - 2.0 * (T - 2.0), 0.0), 2.0 * np.maximum(T - 7.0, 0.0)
+    v = np.where(T < 2.0, 8.0, np.maximum(slows, goes_on))
     events = found(scenario(along(T, v), [walker(45.0, 1.4, 5.0)]))
     assert [event.agents for event in events["ego_yields"]] == [("w",)]
     assert "ego_is_yielded_to" not in events
-    waits = np.where(T < 4.0, -7.0 + 1.4 * T, np.where(T < 7.0, -1.4, -1.4 + 1.4 * (T - 7.0)))
-
-    def motion(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        return np.full(len(t), 40.0), np.interp(t, T, waits), np.full(len(t), 1.57)
-
-    other = car("w", motion, AgentKind.PEDESTRIAN, WALKER)
-    events = found(scenario(along(T, 8.0), [other]))
-    assert [event.agents for event in events["ego_is_yielded_to"]] == [
-        ("w",)
-    ] and "ego_yields" not in events
 
 
-def test_near_misses_have_ttc_and_pet() -> None:
-    # The ego's front is there at 4.6 s, the car at about 5.2 s
+def test_the_ego_is_yielded_to_by_the_road_user_that_goes_second() -> None:
+    def waits(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        y = np.interp(t, [0.0, 4.0, 7.0, T[-1]], [-7.0, -1.4, -1.4, -1.4 + 1.4 * (T[-1] - 7.0)])
+        return np.full(len(t), 40.0), y, np.full(len(t), 1.57)
+
+    events = found(scenario(along(T, 8.0), [car("w", waits, AgentKind.PEDESTRIAN, WALKER)]))
+    assert [event.agents for event in events["ego_is_yielded_to"]] == [("w",)]
+    assert "ego_yields" not in events
+
+
+def test_a_car_that_crosses_behind_the_ego_is_a_near_miss_by_its_pet() -> None:
+    """The ego's front is there at 4.6 s, the car at about 5.2 s."""
     crossing = car("7", moving(50.0, -31.0, 0.0, 6.0))
-    events = found(scenario(along(T, 10.0), [crossing]))
-    assert events["near_miss_pet"][0].value < 1.0
+    assert found(scenario(along(T, 10.0), [crossing]))["near_miss_pet"][0].value < 1.0
+
+
+def test_hard_braking_before_a_wall_is_a_near_miss_by_its_ttc() -> None:
     wall = car("wall", moving(52.0, 0.0, 0.0, 0.0, 0.0))
-    late = along(T, stopping(T, 14.0, 2.0, 8.0))
-    (event,) = found(scenario(late, [wall]))["near_miss_ttc"]
-    assert event.agents == ("wall",) and event.doubt == ""
+    (event,) = found(scenario(along(T, stopping(T, 14.0, 2.0, 8.0)), [wall]))["near_miss_ttc"]
+    assert (event.agents, event.doubt) == (("wall",), "")
 
 
 @pytest.mark.parametrize(("v", "decel", "times"), [(3.0, 1.5, 0), (14.0, 2.0, 0), (14.0, 5.0, 1)])
@@ -299,18 +315,23 @@ def test_events_where_the_ego_jumps_are_in_doubt() -> None:
         assert {event.doubt for event in events["hard_braking"]} == {doubt}
 
 
-def test_lights_and_stop_signs_on_the_way() -> None:
-    line = StopLine(3, 0, np.array([[60.0, -1.75], [60.0, 1.75]]), light=9)
+LINE = StopLine(3, 0, np.array([[60.0, -1.75], [60.0, 1.75]]), light=9)
+
+
+def test_a_light_is_an_event_while_it_is_red() -> None:
     red = TrafficLight(9, np.array([0.0, 8.0]), (Colour.RED, Colour.GREEN))
-    road = replace(straight_road(), stop_lines=(line,))
+    road = replace(straight_road(), stop_lines=(LINE,))
     log = scenario(along(T, stopping(T, 8.0, 1.0, 1.2)), road=road, lights=(red,))
     (event,) = found(log)["red_light"]
-    assert event.end <= 8.0 and event.what == "stop line 3"
-    assert "red_light" not in found(
-        replace(log, lights=(replace(red, colours=(Colour.GREEN, Colour.GREEN)),))
-    )
-    sign = replace(straight_road(), stop_lines=(StopLine(3, 0, line.points, must_stop=True),))
-    assert len(found(scenario(along(T, 8.0), road=sign))["stop_sign"]) == 1
+    assert (event.end <= 8.0, event.what) == (True, "stop line 3")
+    green = replace(red, colours=(Colour.GREEN, Colour.GREEN))
+    assert "red_light" not in found(replace(log, lights=(green,)))
+
+
+def test_a_line_at_which_all_must_stop_is_a_stop_sign() -> None:
+    sign = StopLine(3, 0, LINE.points, must_stop=True)
+    log = scenario(along(T, 8.0), road=replace(straight_road(), stop_lines=(sign,)))
+    assert len(found(log)["stop_sign"]) == 1
 
 
 def lane(name: int, points: Sequence[Sequence[float]], **more: object) -> Lane:
@@ -406,7 +427,7 @@ def test_events_do_not_depend_on_where_the_log_lies(
 
 
 @given(st.lists(st.booleans(), max_size=40), st.integers(1, 5), st.integers(0, 4))
-def test_runs_cover_the_marked_places_and_are_apart(
+def test_runs_cover_the_marked_indices_and_are_apart(
     marks: list[bool], least: int, hole: int
 ) -> None:
     flags = np.array(marks, bool)

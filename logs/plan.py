@@ -90,11 +90,13 @@ class Candidates:
         considered: Number of candidates.
         rejected: Reasons, each with a number of candidates; a candidate is counted once, under the
             first reason found.
+        chosen: Name of the chosen candidate; empty: candidates have no names.
     """
 
     stage: str
     considered: int
     rejected: tuple[tuple[str, int], ...]
+    chosen: str = ""
 
 
 @dataclass(frozen=True, slots=True)

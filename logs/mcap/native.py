@@ -385,12 +385,15 @@ class CostTerms(msgspec.Struct):
     terms: dict[str, float | None]
 
 
-class Candidates(msgspec.Struct):
-    """How many candidates a stage had, and how many it rejected for which reason."""
+class Candidates(msgspec.Struct, omit_defaults=True):
+    """How many candidates a stage had, how many it rejected for which reason, and the name of the
+    chosen one, if they have names.
+    """
 
     stage: str
     considered: int
     rejected: dict[str, int]
+    chosen: str = ""
 
 
 class LaneOption(msgspec.Struct):

@@ -198,7 +198,23 @@ def artefacts_of(message: msgspec.Struct) -> Iterator[nouns.Artefact]:
     for name, (_, kinds) in _INSIDE.items():
         for artefact in getattr(message, name, ()):
             kind: Any = kinds[name == "graphs" and artefact.plane == "st"]
-            yield noun_of(kind, artefact)
+            noun = noun_of(kind, artefact)
+            yield _with_choice(noun) if isinstance(noun, nouns.Candidates) else noun
+
+
+def _with_choice(candidates: nouns.Candidates) -> nouns.Candidates:
+    """The candidates of a former trace, in which the reason of the stage "passing" began with the
+    name of the rejected candidate.
+    """
+    names = {"pass: ": "keep", "keep: ": "pass"}
+    if candidates.chosen or candidates.stage != "passing" or not candidates.rejected:
+        return candidates
+    ((reason, count),) = candidates.rejected
+    for prefix, chosen in names.items():
+        if reason.startswith(prefix):
+            reasons = ((reason.removeprefix(prefix), count),)
+            return replace(candidates, rejected=reasons, chosen=chosen)
+    return candidates
 
 
 def read_trace(path: Path) -> tuple[Trace, Scenario]:

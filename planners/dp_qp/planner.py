@@ -333,13 +333,10 @@ def passing(
     memory = replace(memory_after, t=t, passed=passed, given_up=given_up)
     if pass_plan is None:
         return keep, (), memory
-    rejected = (
-        f"pass: {reason}"
-        if reason
-        else f"keep: costs {keep.cost:.1f} s, pass {pass_plan.cost:.1f} s"
-    )
-    considered = (keep.costs, pass_plan.costs, Candidates("passing", 2, ((rejected, 1),)))
-    return keep if reason else pass_plan, considered, memory
+    chosen, best = ("keep", keep) if reason else ("pass", pass_plan)
+    why_other = reason or f"costs {keep.cost:.1f} s, pass {pass_plan.cost:.1f} s"
+    candidates = Candidates("passing", 2, ((why_other, 1),), chosen)
+    return best, (keep.costs, pass_plan.costs, candidates), memory
 
 
 def _plan_past(

@@ -90,11 +90,10 @@ it.
 """
 NEAR_M = 3.0
 """Largest distance from the way of an agent that is near it."""
-KEEP, PASSING, PASS = "keep", "passing", "pass: "
-"""The lane option of the current lane.
-
-The stage that compares passing with following; the prefix of its reasons.
-"""
+KEEP = "keep"
+"""The lane option of the current lane, and the candidate of `PASSING` that passes no agent."""
+PASSING = "passing"
+"""The stage that compares passing with following."""
 
 
 class CauseKind(Enum):
@@ -506,12 +505,13 @@ def not_passed(plan: Plan) -> tuple[str, ...]:
     lanes = [item for item in plan.internals if isinstance(item, LaneOption)]
     if any(not item.against and item.name != KEEP for item in lanes):
         return ()
-    passings = [
-        item for item in plan.internals if isinstance(item, Candidates) and item.stage == PASSING
+    within = [
+        f"in the lane: {reason}"
+        for item in plan.internals
+        if isinstance(item, Candidates) and (item.stage, item.chosen) == (PASSING, KEEP)
+        for reason, _ in item.rejected
     ]
-    reasons = [reason for reason, _ in chain.from_iterable(item.rejected for item in passings)]
-    within = [reason.removeprefix(PASS) for reason in reasons if reason.startswith(PASS)]
     beside = [
         f"{item.name}: {item.against}" for item in lanes if item.against and item.name != KEEP
     ]
-    return (*(f"in the lane: {reason}" for reason in within), *beside)
+    return (*within, *beside)

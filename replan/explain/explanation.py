@@ -167,8 +167,8 @@ class Explanation:
         candidates = [
             (
                 "",
-                f"{each.stage}: {each.considered}; not taken: "
-                + (", ".join(f"{n} {why}" for why, n in each.rejected) or "none"),
+                f"{each.stage}: {each.considered}{f', {each.chosen} taken' * bool(each.chosen)}; "
+                "not taken: " + (", ".join(f"{n} {why}" for why, n in each.rejected) or "none"),
             )
             for each in self.candidates
         ]

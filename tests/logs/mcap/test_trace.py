@@ -18,6 +18,7 @@ from replan.logs.frame import Predictions
 from replan.logs.mcap import native, read_scenario, read_trace, write_scenario, write_trace
 from replan.logs.mcap.writer import BLOCK, scenario_entries, scenario_records, write_log
 from replan.logs.plan import (
+    Candidates,
     Corridor,
     CostTerms,
     Decision,
@@ -52,6 +53,7 @@ def drive() -> Trace:
     internals = (
         Decision("walker", DecisionKind.YIELD, "speed", "it crosses"),
         CostTerms("path", (("jerk", 1.5), ("centre", np.float64(0.25)))),
+        Candidates("passing", 2, (("no plan", 1),), chosen="keep"),
         LaneOption("left", (("time lost", 0.3), ("change", 1.0)), "car 7 is beside"),
         SolverReport("path", True, "solved", 25, 1e-6, np.nan),
         SlGraph(grid, corridor, line, line, (obstacle,)),
@@ -85,6 +87,21 @@ def messages(path: Path, topic: str) -> list[tuple[int, Any]]:
             (m.log_time, json.loads(m.data))
             for _, _, m in make_reader(file).iter_messages(topics=[topic])
         ]
+
+
+@pytest.mark.parametrize(("chosen", "other"), [("keep", "pass"), ("pass", "keep")])
+def test_former_traces_name_the_rejected_candidate_in_the_reason(
+    tmp_path: Path, chosen: str, other: str
+) -> None:
+    former = Candidates("passing", 2, ((f"{other}: no plan", 1),))
+    trace = drive()
+    plan = replace(trace.frames[1].plan, internals=(former,))
+    frames = (trace.frames[0], replace(trace.frames[1], plan=plan))
+    write_trace(
+        tmp_path / "a.mcap", replace(trace, frames=frames), rich_scenario(), internals="full"
+    )
+    _, frame = read_trace(tmp_path / "a.mcap")[0].frames
+    assert frame.plan.internals == (Candidates("passing", 2, (("no plan", 1),), chosen),)
 
 
 def test_a_trace_read_again_is_the_drive(tmp_path: Path) -> None:

@@ -63,6 +63,10 @@ BEYOND_M = 10.0
 """Places farther outside of the box around the ego's way are not compared with it, m."""
 MOVES_MPS = 0.5
 """Slower road users stand."""
+X, Y, YAW, VX, VY = range(5)
+"""Rows of the boxes of the ego and of a road user: box centre, heading and velocity vector."""
+POSITION, VELOCITY = slice(X, YAW), slice(VX, None)
+"""Their rows together."""
 SUDDEN = "they are first seen as they touch"
 SHALLOW = f"the boxes overlap by less than {DEEP_M:g} m, which boxes may be off by"
 TOO_LARGE = "the two hardly move against each other: the boxes may be too large"
@@ -95,9 +99,7 @@ def _near_miss_ttc(log: DrivenLog) -> Iterator[Event]:
 def _contact(log: DrivenLog) -> Iterator[Event]:
     for user in log.neighbours:
         gaps = _gaps(log.boxes, log.car, user.pose, user.k, np.array(user.size))
-        ego_vx, ego_vy = log.boxes[-2:, user.k]
-        vx, vy = user.pose[-2:]
-        closing = np.hypot(vx - ego_vx, vy - ego_vy)
+        closing = np.hypot(*(user.pose[VELOCITY] - log.boxes[VELOCITY, user.k]))
         for first, last in runs(gaps <= 0.0, user.k, hole=steps(HOLE_S)):
             doubt = ""
             if first == 0 or user.k[first] > user.k[first - 1] + 1:
@@ -131,7 +133,7 @@ def _ego_is_yielded_to(log: DrivenLog) -> Iterator[Event]:
         is_whole = user.k[arrival] - user.k[0] == arrival  # seen without a gap until then
         if i >= j or not is_whole:
             continue
-        travelled = arc_lengths(*user.pose[:2])
+        travelled = arc_lengths(*user.pose[POSITION])
         ego_arrival = int(np.searchsorted(user.k, i))
         slowed = _step_of_slowing(user.speed, travelled, min(ego_arrival, arrival), arrival)
         if slowed >= 0:
@@ -168,12 +170,13 @@ def _conflicts(log: DrivenLog) -> tuple[tuple[Neighbour, int, int], ...]:
     """
     conflicts = []
     size = np.array([log.car.length, log.car.width])
-    low, high = log.boxes[:2].min(axis=1) - BEYOND_M, log.boxes[:2].max(axis=1) + BEYOND_M
+    way = log.boxes[POSITION].T
+    low, high = way.min(axis=0) - BEYOND_M, way.max(axis=0) + BEYOND_M
     for user in log.neighbours:
         moves = user.speed > MOVES_MPS
         if not moves.any():
             continue
-        places = user.pose[:2].T
+        places = user.pose[POSITION].T
         near: BoolArray = ((places >= low) & (places <= high)).all(axis=1)
         angle = 0.0 if user.kind is AgentKind.PEDESTRIAN else CROSSING_RAD
         use = near & moves
@@ -199,27 +202,27 @@ def _least_encroachment(
     """(1): the ego's step i and the other's step j of the least |i - j| <= window, the first of
     equals; -1: none.
     """
-    best, found_i, found_j = window + 1, -1, -1
+    best, best_i, best_j = window + 1, -1, -1
     reach = 0.5 * (hypot(car[0], car[1]) + hypot(size[0], size[1]))
     for m in range(len(k)):
-        j = k[m]
+        j, x, y, yaw = k[m], pose[X, m], pose[Y, m], pose[YAW, m]
         for i in range(max(j - best + 1, 0), min(j + best, ego.shape[1])):
-            if abs(i - j) >= best or hypot(pose[0, m] - ego[0, i], pose[1, m] - ego[1, i]) > reach:
+            if abs(i - j) >= best or hypot(x - ego[X, i], y - ego[Y, i]) > reach:
                 continue
-            if abs(wrap(pose[2, m] - ego[2, i])) >= angle and overlap(
-                ego[0, i],
-                ego[1, i],
-                ego[2, i],
-                car[0],
-                car[1],
-                pose[0, m],
-                pose[1, m],
-                pose[2, m],
-                size[0],
-                size[1],
+            if abs(wrap(yaw - ego[YAW, i])) >= angle and overlap(
+                x1=ego[X, i],
+                y1=ego[Y, i],
+                yaw1=ego[YAW, i],
+                length1=car[0],
+                width1=car[1],
+                x2=x,
+                y2=y,
+                yaw2=yaw,
+                length2=size[0],
+                width2=size[1],
             ):
-                best, found_i, found_j = abs(i - j), i, j
-    return found_i, found_j
+                best, best_i, best_j = abs(i - j), i, j
+    return best_i, best_j
 
 
 @kernel
@@ -241,49 +244,49 @@ def _courses(
     courses[0] = inf
     reach = 0.5 * (hypot(car.length, car.width) + hypot(size[0], size[1]))
     for m in range(len(k)):
-        x, y, yaw = ego[0, k[m]], ego[1, k[m]], ego[2, k[m]]
-        vx, vy = ego[3, k[m]], ego[4, k[m]]
+        x, y, yaw = ego[X, k[m]], ego[Y, k[m]], ego[YAW, k[m]]
+        vx, vy = ego[VX, k[m]], ego[VY, k[m]]
         if hypot(vx, vy) <= NO_TTC_MPS:
             continue
         rear_x, rear_y = x - car.axle * np.cos(yaw), y - car.axle * np.sin(yaw)
-        other_x, other_y, other_yaw = pose[0, m], pose[1, m], pose[2, m]
-        other_vx, other_vy = pose[3, m], pose[4, m]
+        other_x, other_y, other_yaw = pose[X, m], pose[Y, m], pose[YAW, m]
+        other_vx, other_vy = pose[VX, m], pose[VY, m]
         away, closing = hypot(other_x - x, other_y - y), hypot(other_vx - vx, other_vy - vy)
         if away - reach > horizon * closing or is_behind(rear_x, rear_y, yaw, other_x, other_y):
             continue
         ttc = time_to_contact(
-            x,
-            y,
-            yaw,
-            car.length,
-            car.width,
-            other_x,
-            other_y,
-            other_yaw,
-            size[0],
-            size[1],
-            other_vx - vx,
-            other_vy - vy,
+            x1=x,
+            y1=y,
+            yaw1=yaw,
+            length1=car.length,
+            width1=car.width,
+            x2=other_x,
+            y2=other_y,
+            yaw2=other_yaw,
+            length2=size[0],
+            width2=size[1],
+            dvx=other_vx - vx,
+            dvy=other_vy - vy,
         )
         if ttc < horizon:
             turning = time_to_contact_turning(
-                x,
-                y,
-                yaw,
-                car.length,
-                car.width,
-                vx,
-                vy,
-                turn[k[m]],
-                other_x,
-                other_y,
-                other_yaw,
-                size[0],
-                size[1],
-                other_vx,
-                other_vy,
-                turns[m],
-                TURN_S,
+                x1=x,
+                y1=y,
+                yaw1=yaw,
+                length1=car.length,
+                width1=car.width,
+                vx1=vx,
+                vy1=vy,
+                w1=turn[k[m]],
+                x2=other_x,
+                y2=other_y,
+                yaw2=other_yaw,
+                length2=size[0],
+                width2=size[1],
+                vx2=other_vx,
+                vy2=other_vy,
+                w2=turns[m],
+                turning_s=TURN_S,
             )
             ttc = max(ttc, turning)
         if ttc < horizon:
@@ -303,8 +306,8 @@ def _gaps(
     gaps = np.full(len(k), inf)
     reach = 0.5 * (hypot(car.length, car.width) + hypot(size[0], size[1])) + NEAR_M
     for m in range(len(k)):
-        x, y, yaw = ego[0, k[m]], ego[1, k[m]], ego[2, k[m]]
-        other_x, other_y, other_yaw = pose[0, m], pose[1, m], pose[2, m]
+        x, y, yaw = ego[X, k[m]], ego[Y, k[m]], ego[YAW, k[m]]
+        other_x, other_y, other_yaw = pose[X, m], pose[Y, m], pose[YAW, m]
         if hypot(other_x - x, other_y - y) <= reach:
             gaps[m] = clearance(
                 x, y, yaw, car.length, car.width, other_x, other_y, other_yaw, size[0], size[1]

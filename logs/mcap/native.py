@@ -38,18 +38,15 @@ the first one's. Traces are written so (they have 100 samples a second). A log w
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import fields
-from enum import Enum
 from functools import cache
-from inspect import cleandoc
-from types import UnionType
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, get_type_hints
 
 import msgspec
 
 from replan.logs.agents import AgentKind
-from replan.logs.plan import DecisionKind
+from replan.logs.mcap.field_names import serialised
+from replan.logs.mcap.plan_messages import Numbers, OnboardPlan, Plan, Predictions
 from replan.logs.rules import Colour
 from replan.logs.vehicle import VehicleParameters
 
@@ -62,67 +59,6 @@ SCENARIO_RECORD, FREE_RECORD, TRACE_RECORD = (
     "replan.trace",
 )
 
-UNITS = {
-    "log_time": "ns",
-    "t": "s",
-    "x": "m",
-    "y": "m",
-    "yaw": "rad",
-    "v": "mps",
-    "a": "mps2",
-    "kappa": "per_m",
-    "vx": "mps",
-    "vy": "mps",
-    "length": "m",
-    "width": "m",
-    "left_x": "m",
-    "left_y": "m",
-    "right_x": "m",
-    "right_y": "m",
-    "speed_limit": "mps",
-    "default_speed_limit": "mps",
-    "steer": "rad",
-    "lateral": "m",
-    "heading": "rad",
-    "speed": "mps",
-    "station": "m",
-    "wheelbase": "m",
-    "rear_overhang": "m",
-    "mass": "kg",
-    "yaw_inertia": "kgm2",
-    "cog_to_front": "m",
-    "cornering_front": "n_per_rad",
-    "cornering_rear": "n_per_rad",
-    "max_steer": "rad",
-    "max_steer_rate": "radps",
-    "steer_lag": "s",
-    "max_accel": "mps2",
-    "max_power": "w_per_kg",
-    "max_decel": "mps2",
-    "throttle_lag": "s",
-    "brake_lag": "s",
-    "drag": "per_m",
-    "rolling": "mps2",
-    "cog_height": "m",
-    "brake_delay": "s",
-    "wheel_radius": "m",
-    "motor_speed": "radps",
-    "motor_torque": "nm",
-    "motor_overrun": "nm",
-    "shift_time": "s",
-    "begin": "s",
-    "end": "s",
-    "way": "m",
-}
-"""Unit of each name in code; a name that is not here has none."""
-
-
-def serialised(name: str) -> str:
-    """The name in the file: name in code plus unit."""
-    return f"{name}_{UNITS[name]}" if name in UNITS else name
-
-
-Numbers = list[float | None]
 Pair = tuple[float, float]
 
 
@@ -351,150 +287,6 @@ BLOCKS: dict[type[msgspec.Struct], type[msgspec.Struct]] = {
 """What a message of a kind may be instead."""
 
 
-class TrajectoryColumns(msgspec.Struct, rename=serialised):
-    """Planned states; t is the time since the scenario's start."""
-
-    t: list[float]
-    x: list[float]
-    y: list[float]
-    yaw: list[float]
-    v: list[float]
-    a: list[float]
-    kappa: list[float]
-
-
-class OnboardPlan(msgspec.Struct):
-    """A plan that the log's own planner made."""
-
-    trajectory: TrajectoryColumns
-
-
-class Decision(msgspec.Struct):
-    """What was decided about an agent in a stage, and why."""
-
-    agent: str
-    kind: DecisionKind
-    stage: str
-    reason: str
-
-
-class CostTerms(msgspec.Struct):
-    """The weighted cost of what a stage chose, by term."""
-
-    stage: str
-    terms: dict[str, float | None]
-
-
-class Candidates(msgspec.Struct, omit_defaults=True):
-    """How many candidates a stage had, how many it rejected for which reason, and the name of the
-    chosen one, if they have names.
-    """
-
-    stage: str
-    considered: int
-    rejected: dict[str, int]
-    chosen: str = ""
-
-
-class LaneOption(msgspec.Struct):
-    """A lane that was compared: its cost by term, s, and why it was not taken (empty: it was)."""
-
-    name: str
-    terms: dict[str, float | None]
-    against: str
-
-
-class SolverReport(msgspec.Struct):
-    """One call of a solver."""
-
-    stage: str
-    solved: bool
-    status: str
-    iterations: int
-    primal_residual: float | None
-    dual_residual: float | None
-
-
-class Grid(msgspec.Struct):
-    """DP grid: least cost to come to node (first[i], second[j]), null = not reached.
-
-    Chosen -1 = none.
-    """
-
-    first: list[float]
-    second: list[float]
-    cost: list[Numbers]
-    chosen: list[int]
-
-
-class Corridor(msgspec.Struct):
-    """Bounds of the solution over first; null = free."""
-
-    first: list[float]
-    lower: Numbers
-    upper: Numbers
-
-
-class GraphObstacle(msgspec.Struct):
-    """An agent in a graph: outline as points, and what was decided about it."""
-
-    agent: str
-    outline: list[list[float | None]]
-    decision: DecisionKind
-
-
-class Graph(msgspec.Struct):
-    """A plane in which a stage searched.
-
-    "sl": (station m, offset m); "st": (time from the plan s, station m).
-    """
-
-    plane: Literal["sl", "st"]
-    grid: Grid | None
-    corridor: Corridor | None
-    dp: list[list[float | None]]
-    qp: list[list[float | None]]
-    obstacles: list[GraphObstacle]
-
-
-class Plan(msgspec.Struct):
-    """A plan: how it came about, its trajectory, and what the planner wanted to be seen."""
-
-    status: str
-    reason: str
-    start: str
-    trajectory: TrajectoryColumns
-    decisions: list[Decision] = []
-    costs: list[CostTerms] = []
-    solvers: list[SolverReport] = []
-    graphs: list[Graph] = []
-    candidates: list[Candidates] = []
-    lanes: list[LaneOption] = []
-
-
-class PlanHead(msgspec.Struct):
-    """The summary of a plan; it is decoded ten times faster than the whole plan."""
-
-    status: str
-    reason: str
-    decisions: list[Decision] = []
-    lanes: list[LaneOption] = []
-
-
-class Predictions(msgspec.Struct, rename=serialised):
-    """Assumed futures: row i of x and y are the box centres of agent id[i] at the times t.
-
-    Ids may come repeatedly.
-    """
-
-    method: str
-    t: list[float]
-    id: list[str]
-    probability: list[float]
-    x: list[list[float]]
-    y: list[list[float]]
-
-
 TOPICS: dict[str, type[msgspec.Struct]] = {
     "/vehicle": Vehicle,
     "/goal": Goal,
@@ -553,75 +345,3 @@ def _written_out(part: Any, components: dict[str, Any]) -> Any:
         if key != "description" or not worded
     }
     return {**shown, "type": "string"} if "enum" in part else shown
-
-
-_NAMES = {
-    float: "number",
-    int: "integer",
-    str: "text",
-    bool: "boolean",
-    type(None): "null",
-    Any: "any",
-}
-
-
-def markdown() -> str:
-    """docs/log_format.md, written from the types of the messages."""
-    kinds: list[type[msgspec.Struct]] = [*dict.fromkeys(TOPICS.values()), RepairedColumns]
-    for kind in kinds:  # then those that stand in them, in order of first mention
-        inner = [part for hint in get_type_hints(kind).values() for part in _structs(hint)]
-        kinds += [part for part in dict.fromkeys(inner) if part not in kinds]
-    tables = list[str]()
-    for kind in kinds:
-        tables += ["", f"### {kind.__name__}", "", cleandoc(kind.__doc__ or "")]
-        if kind in BLOCKS:
-            tables.append(
-                f"As `{BLOCKS[kind].__name__}`: `log_time_ns`, and a list of each of these."
-            )
-        tables += ["", "| field | type | |", "|---|---|---|"]
-        for field in msgspec.structs.fields(kind):
-            needed = "needed" if field.required else "optional"
-            tables.append(
-                f"| `{field.encode_name}` | {_type(get_type_hints(kind)[field.name])} | {needed} |"
-            )
-    rows = [
-        f"| `{topic}` | {_link(kind)} | {' '.join((kind.__doc__ or '').split())} |"
-        for topic, kind in TOPICS.items()
-    ]
-    described = ["```text", (__doc__ or "").strip(), "```"]
-    head = ["# The native log format", "", _NOTE, "", *described, "", "## Topics", ""]
-    return "\n".join(
-        [*head, "| topic | message | what |", "|---|---|---|", *rows, "", "## Messages", *tables]
-    )
-
-
-_NOTE = """<!-- written by `replan.logs.mcap.native.markdown`; do not edit -->
-
-Any MCAP reader opens a log: its messages are JSON, and their JSON Schema is in the file. The only topic that a log must
-have is `/ego`; `replan inspect` says what is missing for which evaluation."""  # noqa: E501
-
-
-def _structs(hint: Any) -> Iterator[type[msgspec.Struct]]:
-    if isinstance(hint, type) and issubclass(hint, msgspec.Struct):
-        yield hint
-    for part in get_args(hint):
-        yield from _structs(part)
-
-
-def _type(hint: Any) -> str:
-    origin, args = get_origin(hint), get_args(hint)
-    if hint in _NAMES:
-        return _NAMES[hint]
-    if origin in (Union, UnionType):
-        return " or ".join(_type(arg) for arg in args)
-    if origin is Literal or (isinstance(hint, type) and issubclass(hint, Enum)):
-        return ", ".join(f'"{value}"' for value in (args or [member.value for member in hint]))
-    if origin is dict:
-        return f"object of {_type(args[1])}"
-    if origin is tuple and args[-1] is not ...:
-        return f"list of {len(args)} of {_type(args[0])}"
-    return f"list of {_type(args[0])}" if origin in (list, tuple) else _link(hint)
-
-
-def _link(kind: type[msgspec.Struct]) -> str:
-    return f"[{kind.__name__}](#{kind.__name__.lower()})"

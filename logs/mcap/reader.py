@@ -22,7 +22,7 @@ from replan.logs import road as nouns
 from replan.logs.agents import codes_of
 from replan.logs.codec import noun_of
 from replan.logs.complete import completed, road_along
-from replan.logs.mcap import native, osi
+from replan.logs.mcap import native, osi, plan_messages
 from replan.logs.mcap.container import (
     CONVERT,
     LAST_TIME_NS,
@@ -31,6 +31,7 @@ from replan.logs.mcap.container import (
     Stream,
     read_container,
 )
+from replan.logs.mcap.field_names import serialised
 from replan.logs.observed import of_stream
 from replan.logs.repair.detections import Detections, Repair, TrackChange
 from replan.logs.rules import Colour, TrafficLight
@@ -355,7 +356,7 @@ def _equal_lengths(message: msgspec.Struct, topic: str, time: int) -> None:
     lengths = {len(column) for column in msgspec.structs.astuple(message) if column is not None}
     if len(lengths) > 1:
         columns = {
-            native.serialised(n): len(c)
+            serialised(n): len(c)
             for n, c in msgspec.structs.asdict(message).items()
             if c is not None
         }
@@ -406,7 +407,7 @@ def _onboard(stream: Stream | None, start_ns: int) -> tuple[OnboardPlan, ...]:
     known = seconds(stream.times, start_ns).tolist()
     plans = []
     for known_at, time, message in zip(
-        known, stream.times, stream.decoded(native.OnboardPlan), strict=True
+        known, stream.times, stream.decoded(plan_messages.OnboardPlan), strict=True
     ):
         _equal_lengths(message.trajectory, stream.topic, time)
         with reading(topic=stream.topic, time_ns=time, remedy=MEND):

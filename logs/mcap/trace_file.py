@@ -28,7 +28,7 @@ from replan.logs import plan as nouns
 from replan.logs.codec import message_of, noun_of
 from replan.logs.frame import Predictions
 from replan.logs.frame_store import light
-from replan.logs.mcap import native
+from replan.logs.mcap import native, plan_messages
 from replan.logs.mcap.container import MEND, Container, Stream, read_container
 from replan.logs.mcap.reader import marked_tracks, sampled, scenario_of, seconds
 from replan.logs.mcap.writer import (
@@ -122,7 +122,7 @@ def _trace_entries(trace: Trace, start_ns: int, internals: Internals) -> Iterato
                 [column(row[within], "/predictions", name) for row in getattr(futures, name)]
                 for name in ("x", "y")
             )
-            message = native.Predictions(
+            message = plan_messages.Predictions(
                 futures.method, futures.t[within].tolist(), ids, probability, x, y
             )
             yield time, "/predictions", message
@@ -157,27 +157,29 @@ def _who(tracks: Tracks) -> dict[str, tuple[object, ...]]:
     return dict(zip(tracks.ids, columns, strict=True))
 
 
-def plan_message(plan: nouns.Plan, internals: Internals) -> native.Plan:
+def plan_message(plan: nouns.Plan, internals: Internals) -> plan_messages.Plan:
     """The message of a plan, with the part of its internals that `internals` selects."""
     planned = plan.trajectory
     shown = kept_samples(planned.t) if internals == "none" else slice(None)
-    columns = native.TrajectoryColumns(
+    columns = plan_messages.TrajectoryColumns(
         *(getattr(planned, name)[shown].tolist() for name in TRAJECTORY_COLUMNS)
     )
     inside = {} if internals == "none" else inside_of(plan.internals, full=internals == "full")
-    return message_of(native.Plan, plan, trajectory=columns, **inside)
+    return message_of(plan_messages.Plan, plan, trajectory=columns, **inside)
 
 
 _INSIDE: dict[str, tuple[type[msgspec.Struct], tuple[type[nouns.Artefact], ...]]] = {
-    "decisions": (native.Decision, (nouns.Decision,)),
-    "costs": (native.CostTerms, (nouns.CostTerms,)),
-    "candidates": (native.Candidates, (nouns.Candidates,)),
-    "lanes": (native.LaneOption, (nouns.LaneOption,)),
-    "solvers": (native.SolverReport, (nouns.SolverReport,)),
-    "graphs": (native.Graph, (nouns.SlGraph, nouns.StGraph)),
+    "decisions": (plan_messages.Decision, (nouns.Decision,)),
+    "costs": (plan_messages.CostTerms, (nouns.CostTerms,)),
+    "candidates": (plan_messages.Candidates, (nouns.Candidates,)),
+    "lanes": (plan_messages.LaneOption, (nouns.LaneOption,)),
+    "solvers": (plan_messages.SolverReport, (nouns.SolverReport,)),
+    "graphs": (plan_messages.Graph, (nouns.SlGraph, nouns.StGraph)),
 }
 """Name and message type of each kind of artefact of a plan, in the order in which they are read."""
-_PLACE = {noun: (name, kind) for name, (kind, some) in _INSIDE.items() for noun in some}
+_PLACE = {
+    noun: (name, kind) for name, (kind, nouns_of_kind) in _INSIDE.items() for noun in nouns_of_kind
+}
 
 
 def inside_of(internals: Iterable[nouns.Artefact], *, full: bool = True) -> dict[str, Any]:
@@ -246,7 +248,7 @@ def read_moment(path: Path, t: float) -> tuple[Trace, Scenario, tuple[nouns.Plan
         plans.check_order(strictly=True)
         times = seconds(plans.times, start).tolist()
         for time, known_at, message in zip(
-            plans.times, times, plans.decoded(native.PlanHead), strict=True
+            plans.times, times, plans.decoded(plan_messages.PlanHead), strict=True
         ):
             with reading((KeyError,), topic="/plan", time_ns=time, remedy=MEND):
                 summaries.append(
@@ -327,11 +329,13 @@ def _frames(streams: dict[str, Stream], start_ns: int) -> Iterator[PlannedFrame]
     plans = streams.get("/plan", _none("/plan"))
     plans.check_order(strictly=True)
     expected = streams.get("/predictions", _none("/predictions"))
-    predictions = dict(zip(expected.times, expected.decoded(native.Predictions), strict=True))
+    predictions = dict(
+        zip(expected.times, expected.decoded(plan_messages.Predictions), strict=True)
+    )
     for time, t, message in zip(
         plans.times,
         seconds(plans.times, start_ns).tolist(),
-        plans.decoded(native.Plan),
+        plans.decoded(plan_messages.Plan),
         strict=True,
     ):
         with reading((KeyError, ValueError), topic="/plan", time_ns=time, remedy=MEND):

@@ -27,7 +27,8 @@ from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 from replan.core.arrays import BoolArray, FloatArray
 from replan.core.errors import LogError, in_file, writing
 from replan.logs.codec import message_of, scalar_as_number
-from replan.logs.mcap import native
+from replan.logs.mcap import native, plan_messages
+from replan.logs.mcap.field_names import serialised
 from replan.logs.repair.detections import Detections
 from replan.logs.rules import Colour
 from replan.logs.scenario import Scenario
@@ -233,7 +234,7 @@ def scenario_entries(scenario: Scenario, *, blocks: bool = False) -> Iterator[En
         yield from samples(scenario.controls, native.Controls, "/controls", start, blocks=blocks)
     times = log_times(np.array([plan.known for plan in scenario.onboard]), start, "/onboard")
     for time, plan in zip(times, scenario.onboard, strict=True):
-        yield time, "/onboard", message_of(native.OnboardPlan, plan)
+        yield time, "/onboard", message_of(plan_messages.OnboardPlan, plan)
 
 
 def log_times(t: FloatArray, start_ns: int, topic: str) -> list[int]:
@@ -255,7 +256,7 @@ def check_not_infinite(values: FloatArray, topic: str, name: str) -> None:
     if np.isinf(values).any():
         where = int(np.flatnonzero(np.isinf(values))[0])
         raise LogError(
-            f"{native.serialised(name)} is infinite at index {where}", topic=topic, remedy="use NaN"
+            f"{serialised(name)} is infinite at index {where}", topic=topic, remedy="use NaN"
         )
 
 

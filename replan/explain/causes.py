@@ -505,12 +505,12 @@ def not_passed(plan: Plan) -> tuple[str, ...]:
     lanes = [item for item in plan.internals if isinstance(item, LaneOption)]
     if any(not item.against and item.name != KEEP for item in lanes):
         return ()
-    within = [
-        f"in the lane: {reason}"
+    stays = [
+        item.rejected
         for item in plan.internals
         if isinstance(item, Candidates) and (item.stage, item.chosen) == (PASSING, KEEP)
-        for reason, _ in item.rejected
     ]
+    within = [f"in the lane: {reason}" for reason, _ in chain.from_iterable(stays)]
     beside = [
         f"{item.name}: {item.against}" for item in lanes if item.against and item.name != KEEP
     ]

@@ -170,8 +170,8 @@ def _conflicts(log: DrivenLog) -> tuple[tuple[Neighbour, int, int], ...]:
     """
     conflicts = []
     size = np.array([log.car.length, log.car.width])
-    way = log.boxes[POSITION].T
-    low, high = way.min(axis=0) - BEYOND_M, way.max(axis=0) + BEYOND_M
+    centers = log.boxes[POSITION].T
+    low, high = centers.min(axis=0) - BEYOND_M, centers.max(axis=0) + BEYOND_M
     for user in log.neighbours:
         moves = user.speed > MOVES_MPS
         if not moves.any():
@@ -205,7 +205,8 @@ def _least_encroachment(
     best, best_i, best_j = window + 1, -1, -1
     reach = 0.5 * (hypot(car[0], car[1]) + hypot(size[0], size[1]))
     for m in range(len(k)):
-        j, x, y, yaw = k[m], pose[X, m], pose[Y, m], pose[YAW, m]
+        j = k[m]
+        x, y, yaw = pose[X, m], pose[Y, m], pose[YAW, m]
         for i in range(max(j - best + 1, 0), min(j + best, ego.shape[1])):
             if abs(i - j) >= best or hypot(x - ego[X, i], y - ego[Y, i]) > reach:
                 continue

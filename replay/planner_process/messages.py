@@ -35,7 +35,7 @@ from replan.logs.codec import (
     packed,
     unpacked,
 )
-from replan.logs.mcap import native
+from replan.logs.mcap import plan_messages
 from replan.logs.mcap.trace_file import artefacts_of, inside_of
 from replan.logs.road import Goal, Lane
 from replan.logs.rules import Colour, Crosswalk, StopLine
@@ -171,12 +171,12 @@ class Trajectory(msgspec.Struct):
 class Inside(msgspec.Struct, omit_defaults=True):
     """The internals that a planner shows, in the form of replan's traces (docs/results.md)."""
 
-    decisions: list[native.Decision] = []
-    costs: list[native.CostTerms] = []
-    solvers: list[native.SolverReport] = []
-    graphs: list[native.Graph] = []
-    candidates: list[native.Candidates] = []
-    lanes: list[native.LaneOption] = []
+    decisions: list[plan_messages.Decision] = []
+    costs: list[plan_messages.CostTerms] = []
+    solvers: list[plan_messages.SolverReport] = []
+    graphs: list[plan_messages.Graph] = []
+    candidates: list[plan_messages.Candidates] = []
+    lanes: list[plan_messages.LaneOption] = []
 
 
 class Plan(msgspec.Struct, tag="plan", omit_defaults=True):

@@ -11,7 +11,7 @@ from rich_scenario import rich_scenario
 
 from replan.logs.codec import array_as_bytes, array_of, message_of, noun_of
 from replan.logs.frame import PlannerContext
-from replan.logs.mcap import native
+from replan.logs.mcap import native, plan_messages
 from replan.logs.plan import Corridor, GridCost
 from replan.logs.road import Goal, Road
 from replan.logs.rules import StopLine
@@ -69,8 +69,8 @@ def test_arrays_as_bytes_are_the_same_to_the_bit(values: list[float]) -> None:
 
 
 def test_null_in_graphs_is_not_reached_and_free() -> None:
-    grid = noun_of(GridCost, native.Grid([0.0], [0.0, 1.0], [[None, 2.0]], [1]))
-    corridor = noun_of(Corridor, native.Corridor([0.0], [None], [None]))
+    grid = noun_of(GridCost, plan_messages.Grid([0.0], [0.0, 1.0], [[None, 2.0]], [1]))
+    corridor = noun_of(Corridor, plan_messages.Corridor([0.0], [None], [None]))
     assert (grid.cost.tolist(), corridor.lower[0], corridor.upper[0]) == (
         [[np.inf, 2.0]],
         -np.inf,
@@ -82,4 +82,7 @@ def test_columns_that_do_not_fit_are_refused_by_name() -> None:
     with pytest.raises(ValueError, match="stop line 7 has 1 x_m and 2 y_m"):
         noun_of(StopLine, native.StopLine(7, 1, [8.0], [1.0, -1.0]))
     with pytest.raises(ValueError, match="x has shape"):
-        noun_of(Trajectory, native.TrajectoryColumns([0.0], [], [0.0], [0.0], [0.0], [0.0], [0.0]))
+        noun_of(
+            Trajectory,
+            plan_messages.TrajectoryColumns([0.0], [], [0.0], [0.0], [0.0], [0.0], [0.0]),
+        )

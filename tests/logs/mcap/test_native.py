@@ -18,7 +18,7 @@ from rich_scenario import START_NS, rich_scenario
 
 import replan
 from replan.core.errors import LogError, OutputError
-from replan.logs.mcap import native, read_scenario, write_scenario
+from replan.logs.mcap import format_page, native, plan_messages, read_scenario, write_scenario
 from replan.logs.road import Lane, Road
 from replan.logs.scenario import Scenario
 from replan.logs.states import Trajectory
@@ -60,9 +60,9 @@ def test_same_scenario_same_bytes(tmp_path: Path) -> None:
         (replan.StopLine, native.StopLine, {"points": ("x", "y")}),
         (replan.Crosswalk, native.Crosswalk, {"polygon": ("x", "y")}),
         (replan.Goal, native.Goal, {}),
-        (replan.Decision, native.Decision, {}),
-        (replan.SolverReport, native.SolverReport, {}),
-        (Trajectory, native.TrajectoryColumns, {}),
+        (replan.Decision, plan_messages.Decision, {}),
+        (replan.SolverReport, plan_messages.SolverReport, {}),
+        (Trajectory, plan_messages.TrajectoryColumns, {}),
     ],
 )
 def test_a_message_has_every_field_of_its_noun(
@@ -175,8 +175,8 @@ PAGE = (Path(__file__).parents[3] / "docs" / "log_format.md").read_text(encoding
 
 
 def test_the_page_is_written_from_the_types() -> None:
-    assert native.markdown() + "\n" == PAGE, (
-        "python -c 'from replan.logs.mcap.native import markdown; print(markdown())'"
+    assert format_page.markdown() + "\n" == PAGE, (
+        "python -c 'from replan.logs.mcap.format_page import markdown; print(markdown())'"
     )
 
 

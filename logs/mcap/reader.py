@@ -32,6 +32,7 @@ from replan.logs.mcap.container import (
     read_container,
 )
 from replan.logs.mcap.field_names import serialised
+from replan.logs.mcap.osi_frames import SCHEMAS
 from replan.logs.observed import of_stream
 from replan.logs.repair.detections import Detections, Repair, TrackChange
 from replan.logs.rules import Colour, TrafficLight
@@ -64,7 +65,7 @@ def scenario_of(container: Container, ego: str = "") -> Scenario:
                     f"ego {ego} is asked for, but a native log has its ego", remedy="leave ego out"
                 )
             return _native(container)
-        stream = container.of_schema(*osi.SCHEMAS)
+        stream = container.of_schema(*SCHEMAS)
         if stream is not None:
             return osi.scenario_of(stream, container.path.stem, ego)
     held = ", ".join(

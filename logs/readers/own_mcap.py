@@ -16,6 +16,7 @@ from pathlib import Path
 from replan.core.errors import LogError
 from replan.logs.mcap import native, osi
 from replan.logs.mcap.container import COPY_AGAIN, Stream, content_of, read_container
+from replan.logs.mcap.osi_frames import SCHEMAS
 from replan.logs.mcap.reader import read_scenario
 from replan.logs.mcap.writer import descriptor_set
 from replan.logs.readers.base import LogContents, Reader, TopicSummary, files_named
@@ -35,7 +36,7 @@ def _contents(path: Path) -> LogContents:
         )
         topics.append(TopicSummary(*summary, first, last))
     profile = "not a log that replan reads" if container.streams else "no log"
-    of_osi = container.of_schema(*osi.SCHEMAS)
+    of_osi = container.of_schema(*SCHEMAS)
     if of_osi is not None:
         profile = f"ASAM OSI log, {of_osi.schema}"
     if native.SCENARIO_RECORD in container.metadata:

@@ -25,6 +25,7 @@ import numpy as np
 from replan.core.arrays import frozen
 from replan.core.names import counted
 from replan.explain.course import Ways
+from replan.explain.occupancy import bodies, occupied
 from replan.explain.planner_input import SAME_TIME_S, PlannerInput
 from replan.logs.agents import Agents
 from replan.logs.plan import SlGraph, StGraph
@@ -32,8 +33,8 @@ from replan.logs.scenario import Scenario
 from replan.logs.shapes import distance
 from replan.logs.states import Trajectory
 from replan.logs.vehicle import VehicleParameters
-from replan.planners.frenet.scene import Bodies, Futures
-from replan.planners.frenet.sweep import Roles, Swept, SweptPath, sweep
+from replan.planners.frenet.scene import Futures
+from replan.planners.frenet.sweep import SweptPath
 
 AHEAD_M, AHEAD_S, BESIDE_M = 2.0, 0.6, 0.75
 """Largest differences that the margins of planners explain."""
@@ -121,7 +122,7 @@ def _ahead(seen: PlannerInput, car: VehicleParameters, ways: Ways) -> Iterator[C
         if abs(drawn_m - shown_m) <= tolerance:
             continue
         path = ways.of(plan, drawn_m + shown_m)
-        along_m = _taken_from(SweptPath(path.s, path.x, path.y, path.yaw), agents, row, car)
+        along_m = _occupied_from(path.swept, agents, row, car)
         is_straight = bool(np.isnan(along_m))
         # beside the way, the straight distance is only a lower bound
         apart_m = shown_m - drawn_m if is_straight else abs(along_m - drawn_m)
@@ -149,16 +150,13 @@ def _drawn_at_start(seen: PlannerInput) -> dict[str, float]:
     return drawn_m
 
 
-def _taken_from(path: SweptPath, agents: Agents, row: int, car: VehicleParameters) -> float:
+def _occupied_from(path: SweptPath, agents: Agents, row: int, car: VehicleParameters) -> float:
     """The station from which the shown box of an agent takes a path, m; NaN if it does not."""
-    ego = Swept(car.axle_to_center, car.length, car.width, 0.0, 0.0, 0.0, 0.0, 0.0)
-    alone, none = agents.some(np.array([row])), np.zeros(1, np.bool_)
+    alone, times = agents.some(np.array([row])), frozen(np.arange(2.0))
     poses = (frozen(np.repeat(column[:, None], 2, 1)) for column in (alone.x, alone.y, alone.yaw))
-    futures = Futures(frozen(np.arange(2.0)), np.zeros(1, np.int64), frozen(np.ones(1)), *poses)
-    bodies = Bodies(alone.x, alone.y, alone.yaw, alone.vx, alone.vy, alone.length, alone.width)
-    roles = Roles(none, none, none)
-    _, _, lower, _, _, _ = sweep(path, futures, bodies, roles, ego, 0.0, 1)
-    return float(lower[0, 0]) if len(lower) else float("nan")
+    futures = Futures(times, np.zeros(1, np.int64), frozen(np.ones(1)), *poses)
+    occupancies = occupied(path, futures, bodies(alone), car)
+    return next((float(occupancy.lower[0]) for occupancy in occupancies), float("nan"))
 
 
 def _beside(seen: PlannerInput) -> Iterator[Contradiction]:

@@ -40,6 +40,7 @@ from math import cos, hypot, inf, nan, radians, sin
 import numpy as np
 
 from replan.core.arrays import BoolArray, FloatArray, arc_lengths, frozen
+from replan.explain.occupancy import Occupancy, bodies, occupied
 from replan.logs.agents import Agents
 from replan.logs.frame import PlannerContext, Predictions
 from replan.logs.plan import Plan
@@ -49,14 +50,9 @@ from replan.logs.shapes import distance
 from replan.logs.states import Trajectory, wrap
 from replan.logs.vehicle import VehicleParameters
 from replan.planners.frenet.reference_path import LaneSequences
-from replan.planners.frenet.scene import (
-    STANDING_MPS as AGENT_STANDS_MPS,
-    VULNERABLE,
-    Bodies,
-    Futures,
-)
+from replan.planners.frenet.scene import STANDING_MPS as AGENT_STANDS_MPS, VULNERABLE, Futures
 from replan.planners.frenet.st_boundaries import ALONG
-from replan.planners.frenet.sweep import Roles, Swept, SweptPath, sweep
+from replan.planners.frenet.sweep import Roles, SweptPath
 
 BRAKES_MPS2 = -0.3
 """A plan brakes if its acceleration is at most this: weaker braking is comfortable (ISO 2631-1:
@@ -275,6 +271,11 @@ class PlanWay:
     end: float
     lanes: tuple[int, ...]
 
+    @property
+    def swept(self) -> SweptPath:
+        """The way as the path of a sweep."""
+        return SweptPath(self.s, self.x, self.y, self.yaw)
+
     def crossing(self, points: FloatArray, front: float) -> float:
         """The arc length at which a point `front` m ahead of the rear axle crosses a line between
         two points `(2, 2)`, m; inf if it does not.
@@ -409,48 +410,24 @@ def meetings(
     The way is long enough for the plan; agents that are `passed` `(agents,)` have no margin.
     """
     times, poses = fine(futures)
-    x, y, yaw = poses
-    ego = Swept(
-        car.axle_to_center, car.length, car.width, MARGIN_M, VULNERABLE_MARGIN_M, 0.0, 0.0, 0.0
-    )
-    none, rows = np.zeros(len(agents), np.bool_), np.arange(float(len(futures)))
-    _, swept_agents, lower, upper, along, row = sweep(
-        SweptPath(way.s, way.x, way.y, way.yaw),
-        # Row numbers instead of probabilities
-        Futures(frozen(times), futures.agent, *map(frozen, (rows, x, y, yaw))),
-        Bodies(
-            *map(
-                frozen,
-                (agents.x, agents.y, agents.yaw, agents.vx, agents.vy, agents.length, agents.width),
-            )
-        ),
-        Roles(none, VULNERABLE[agents.codes], passed),
-        ego,
-        float(times[0]),
-        1,
+    no_one = np.zeros(len(agents), np.bool_)
+    occupancies = occupied(
+        way.swept,
+        Futures(frozen(times), futures.agent, futures.probability, *map(frozen, poses)),
+        bodies(agents),
+        car,
+        (MARGIN_M, VULNERABLE_MARGIN_M, 0.0),
+        Roles(no_one, VULNERABLE[agents.codes], passed),
     )
     meetings_of: dict[int, Meeting] = {}
-    for k, agent in enumerate(swept_agents.tolist()):
-        taken = _Taken(agent, poses[:, int(row[k])], lower[k], upper[k], float(along[k]))
-        meeting = _meeting(held, way, agents, taken, car)
+    for taken in occupancies:
+        agent = taken.agent
+        meeting = _meeting(held, way, agents, taken, poses[:, taken.prediction], car)
         if meeting is not None and (
             agent not in meetings_of or _order(meeting) < _order(meetings_of[agent])
         ):
             meetings_of[agent] = meeting
     return list(meetings_of.values())
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class _Taken:
-    """A prediction's part of a way: agent, rows x, y, yaw `(3, k)`, stations `(k,)`, speed along
-    the way, m/s.
-    """
-
-    agent: int
-    pose: FloatArray
-    lower: FloatArray
-    upper: FloatArray
-    along: float
 
 
 def fine(futures: Predictions) -> tuple[FloatArray, FloatArray]:
@@ -486,14 +463,21 @@ def _order(one: Meeting) -> tuple[bool, bool, float, float]:
 
 
 def _meeting(
-    held: Held, way: PlanWay, agents: Agents, taken: _Taken, car: VehicleParameters
+    held: Held,
+    way: PlanWay,
+    agents: Agents,
+    taken: Occupancy,
+    pose: FloatArray,
+    car: VehicleParameters,
 ) -> Meeting | None:
-    """The meeting with an agent; None if they come only from behind."""
+    """The meeting with an agent whose predicted poses are rows x, y, yaw `(3, k)`; None if they
+    come only from behind.
+    """
     on_path, lower, upper = np.isfinite(taken.lower), taken.lower, taken.upper
     first = int(np.flatnonzero(on_path)[0])
-    if _is_behind(way, held.s[first], taken.pose[:, first], car):
+    if _is_behind(way, held.s[first], pose[:, first], car):
         return None
-    row, (x, y, yaw) = taken.agent, taken.pose[:, 0]
+    row, (x, y, yaw) = taken.agent, pose[:, 0]
     ex, ey, eyaw = _center(way, 0.0, car)
     distance_m = distance(
         ex, ey, eyaw, car.length, car.width, x, y, yaw, agents.length[row], agents.width[row]
@@ -508,7 +492,7 @@ def _meeting(
     k = int(close[0]) if len(close) and follows else -1
     if len(met):
         k = int(met[0])
-    if len(met) and _is_behind(way, held.s[k], taken.pose[:, k], car):
+    if len(met) and _is_behind(way, held.s[k], pose[:, k], car):
         return None
     need = nan
     later = np.flatnonzero(on_path & (np.arange(len(lower)) >= k) & (held.t > held.t_from))

@@ -20,6 +20,7 @@ import numpy as np
 
 from replan.core.arrays import FloatArray
 from replan.explain.course import PlanWay
+from replan.explain.occupancy import bodies, occupied
 from replan.logs.agents import Agents
 from replan.logs.frame import Predictions
 from replan.logs.plan import SlGraph
@@ -27,8 +28,7 @@ from replan.logs.reference_line import ReferenceLine
 from replan.logs.shapes import corners
 from replan.logs.states import Trajectory
 from replan.logs.vehicle import VehicleParameters
-from replan.planners.frenet.scene import Bodies, Futures
-from replan.planners.frenet.sweep import Roles, Swept, SweptPath, sweep
+from replan.planners.frenet.scene import Futures
 
 SLICE_S = 0.2
 SLICES = SLICE_S * np.arange(41)
@@ -124,19 +124,14 @@ def expected_slices(
         np.array([np.interp(SLICES, later, row) for row in column]).reshape(-1, len(SLICES))
         for column in (futures.x, futures.y, np.unwrap(futures.yaw, axis=1))
     )
-    ego = Swept(car.axle_to_center, car.length, car.width, margin, margin, margin, 0.0, 0.0)
-    bodies = Bodies(
-        agents.x, agents.y, agents.yaw, agents.vx, agents.vy, agents.length, agents.width
-    )
     poses = Futures(SLICES, futures.agent, futures.probability, x, y, yaw)
-    none = np.zeros(len(agents), np.bool_)
-    path = SweptPath(way.s, way.x, way.y, way.yaw)
-    _, agent, lower, upper, _, prob = sweep(
-        path, poses, bodies, Roles(none, none, none), ego, 0.0, 1
-    )
     return [
-        (int(row), Slices(low, high), float(p))
-        for row, low, high, p in zip(agent, lower, upper, prob, strict=True)
+        (
+            taken.agent,
+            Slices(taken.lower, taken.upper),
+            float(futures.probability[taken.prediction]),
+        )
+        for taken in occupied(way.swept, poses, bodies(agents), car, (margin, margin, margin))
     ]
 
 

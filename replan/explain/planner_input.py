@@ -15,6 +15,7 @@ import numpy as np
 
 from replan.core.arrays import FloatArray, frozen
 from replan.explain.course import path_rows
+from replan.explain.occupancy import occupied
 from replan.logs.agents import Agents
 from replan.logs.frame import Predictions
 from replan.logs.plan import DecisionKind, StGraph
@@ -23,8 +24,9 @@ from replan.logs.scenario import Scenario
 from replan.logs.shapes import corners
 from replan.logs.trace import PlannedFrame, Trace
 from replan.logs.tracks import Tracks
+from replan.logs.vehicle import VehicleParameters
 from replan.planners.frenet.scene import Bodies, Futures
-from replan.planners.frenet.sweep import Roles, Swept, SweptPath, sweep
+from replan.planners.frenet.sweep import SweptPath
 from replan.replay.loop_config import LoopConfig
 from replan.replay.perception import Perception, shows_truth
 from replan.replay.world import World
@@ -109,7 +111,6 @@ def actual_occupancy(trace: Trace, scenario: Scenario) -> Iterator[list[FloatArr
         Outlines `(k, 2)`: time from the frame, s, and station along the path from the ego, m.
     """
     car, rows = scenario.vehicle, {name: i for i, name in enumerate(trace.agents.ids)}
-    ego = Swept(car.axle_to_center, car.length, car.width, 0.0, 0.0, 0.0, 0.0, 0.0)
     end = float(trace.ego.t[-1])
     beyond = np.arange(0.5, BEYOND_M + 0.5, 0.5)
     for frame in trace.frames:
@@ -131,7 +132,7 @@ def actual_occupancy(trace: Trace, scenario: Scenario) -> Iterator[list[FloatArr
         yaw = plan_rows[-1, -1]
         ahead = np.stack([beyond, beyond * np.cos(yaw), beyond * np.sin(yaw), 0.0 * beyond])
         path = np.ascontiguousarray(np.hstack([plan_rows, plan_rows[:, -1:] + ahead]))
-        outlines = (_outline(trace.agents, rows[name], frame, path, end, ego) for name in names)
+        outlines = (_outline(trace.agents, rows[name], frame, path, end, car) for name in names)
         yield [outline for outline in outlines if outline is not None]
 
 
@@ -175,7 +176,12 @@ def _means(values: FloatArray) -> FloatArray:
 
 
 def _outline(
-    tracks: Tracks, row: int, frame: PlannedFrame, path: FloatArray, end: float, ego: Swept
+    tracks: Tracks,
+    row: int,
+    frame: PlannedFrame,
+    path: FloatArray,
+    end: float,
+    car: VehicleParameters,
 ) -> FloatArray | None:
     """The outline of an agent on the path until the drive, its log or the plan ends; None if it is
     never on it.
@@ -191,16 +197,15 @@ def _outline(
         return None
     columns = tracks.x[samples], tracks.y[samples], np.unwrap(tracks.yaw[samples])
     x, y, yaw = (np.interp(times, tracks.t[samples], column)[None] for column in columns)
-    agent, zero, no_role = np.zeros(1, np.int64), np.zeros(1), np.zeros(1, np.bool_)
+    agent, zero = np.zeros(1, np.int64), np.zeros(1)
     futures = Futures(frozen(times), agent, *map(frozen, (zero, x, y, yaw)))
-    bodies = Bodies(
-        *map(frozen, (zero, zero, zero, zero, zero, tracks.length[[row]], tracks.width[[row]]))
-    )
-    t, _, lower, upper, _, _ = sweep(
-        SweptPath(*path), futures, bodies, Roles(no_role, no_role, no_role), ego, float(frame.t), 1
-    )
-    if not len(lower):
+    size = tracks.length[[row]], tracks.width[[row]]
+    box = Bodies(*map(frozen, (zero, zero, zero, zero, zero, *size)))
+    taken = next(occupied(SweptPath(*path), futures, box, car), None)
+    if taken is None:
         return None
-    on_path = np.isfinite(lower[0])
-    low, high = np.column_stack([t, lower[0]])[on_path], np.column_stack([t, upper[0]])[on_path]
+    on_path = np.isfinite(taken.lower)
+    low, high = (
+        np.column_stack([times - frame.t, edge])[on_path] for edge in (taken.lower, taken.upper)
+    )
     return np.vstack([low, high[::-1]])

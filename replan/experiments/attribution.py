@@ -62,7 +62,9 @@ UNEXPLAINED = 0.1
 FINALISTS = 6
 """Changes that are tried on all frames."""
 FIRSTS = 2
-"""Changes that are tried as the first one of two."""
+"""Changes that are tried as the first one of two, and of those that explain the places that were
+looked at, but not all frames, those whose values are corrected.
+"""
 SAME_AS_BEST = 5
 """Changes that explain as much as the best one and are named."""
 CAUSES = {
@@ -464,16 +466,18 @@ class _Attributing:
         """Those that explain enough, the best first, and others only if they explain as much."""
         claimed: list[TriedInput] = []
         misses: float = UNEXPLAINED * self._differing
+        corrections = FIRSTS
         for changes in finalists:
             tried = self.search.everywhere(changes, misses)
-            if tried is not None:
-                misses = min(misses, tried.total - tried.same)
+            if len(tried.missed) > misses and corrections and self.search.at(changes).is_exact:
+                corrections -= 1
+                tried = self.search.everywhere(self.search.corrected(tried), misses)
+            if len(tried.missed) <= misses:
+                misses = len(tried.missed)
                 claimed.append(tried)
-        best = [tried for tried in claimed if tried.total - tried.same <= misses]
+        best = [tried for tried in claimed if len(tried.missed) <= misses]
         best.sort(key=lambda tried: tried.order)
-        names = [
-            tuple((change.row.words, change.kinds) for change in item.changes) for item in best
-        ]
+        names = [{(change.row.words, change.kinds) for change in item.changes} for item in best]
         return [item for i, item in enumerate(best) if names[i] not in names[:i]]
 
     def _loop_settings(self) -> dict[str, tuple[Any, Any]]:
@@ -520,7 +524,7 @@ class _Attributing:
         firsts.append((InputChange("no previous plan"),))
         for first in dict.fromkeys(firsts):
             for tried in self.search.nearer(self.search.inputs(), first)[:FEW]:
-                again = self.search.refined(tried.changes, 0)
+                again = self.search.tried_anew(tried.changes, 0)
                 self.search.refined(again.changes, 1)
         return self.search.finalists(2, FINALISTS)
 
@@ -529,7 +533,7 @@ class _Attributing:
         self.say("no change of the input explains them; settings are tried")
         own, _ = self.pair.planner_settings
         numbers = [SettingChange(k, v, v) for k, v in own.items() if _is_number(v)]
-        self.search.nearer(numbers)
+        self.search.nearer(numbers, glance=1)
         return self.search.finalists(1, FINALISTS, SettingChange)
 
     def _first_stage(self) -> FirstDifference | None:

@@ -50,7 +50,9 @@ from replan.planners.base import Planner
 ROUGH_M = 1.0
 """The distance that counts half in (3) and (4)."""
 GLANCE = 2
-"""Places at which every change is tried; those that bring no plan nearer are not tried further."""
+"""Places at which every change of the input is tried; those that bring no plan nearer are not tried
+further. A setting explains all places or none: of settings one place.
+"""
 PLACES = 6
 """Frames that differ at which the nearer ones are tried and refined, and as many that agree."""
 SPREAD = (0.3, 0.5, 0.7, 0.15, 0.85)
@@ -67,6 +69,8 @@ BEYOND = 3.0
 """How far the refinement goes beyond the last try, as multiples of the step before it."""
 STEPS = 12
 """Steps of a refinement."""
+BESIDE = 0.01
+"""Share by which a value is another one, at least itself."""
 SETTING_SHARES = (0.2, 0.6, 1.6, 5.0)
 NOBODY = InputChange("drop agents")
 COLUMNS = ("t", "x", "y", "yaw", "v", "a")
@@ -177,6 +181,8 @@ class SettingChange:
 
 
 Change = InputChange | SettingChange
+Places = tuple[tuple[int, int], ...]
+"""Drive and frame of each."""
 Build = Callable[[PlannerContext, Mapping[str, Any]], Planner]
 """Builds the reference planner from a context, with changes of its table of settings."""
 
@@ -298,12 +304,14 @@ class TriedInput:
     Attributes:
         distance: The mean of (2) at the places.
         same: Number of plans that are equal to the bit, `total` of how many.
+        missed: The frames of all drives whose plans are not equal.
     """
 
     changes: tuple[Change, ...]
     distance: float
     same: int
     total: int
+    missed: Places = ()
 
     @property
     def is_exact(self) -> bool:
@@ -331,7 +339,7 @@ class InputSearch:
     reference: Reference
     drives: Sequence[WatchedDrive]
     unchanged: Sequence[Sequence[Plan | None]]
-    _tried: dict[tuple[tuple[Change, ...], int], TriedInput] = field(default_factory=dict)
+    _tried: dict[tuple[tuple[Change, ...], Places], TriedInput] = field(default_factory=dict)
 
     @classmethod
     def of(cls, reference: Reference, drives: Sequence[WatchedDrive]) -> InputSearch:
@@ -363,16 +371,21 @@ class InputSearch:
         ]
 
     @cached_property
-    def places(self) -> list[tuple[int, int]]:
-        """Drive and frame of the places to look at: those that differ, the farthest one of each
-        drive in turns, and `PLACES` where nothing differs and nothing may.
+    def places(self) -> Places:
+        """The places to look at: those of `apart`, and `PLACES` where nothing differs and nothing
+        may.
         """
+        return (*self.apart, *islice(self._agreeing(), PLACES))
+
+    @cached_property
+    def apart(self) -> Places:
+        """The places that differ, the farthest one of each drive in turns."""
         ranked = [self._places_of(row) for row in range(len(self.drives))]
         turns = chain.from_iterable(
             [(row, frames[turn]) for row, frames in enumerate(ranked) if turn < len(frames)]
             for turn in range(PLACES)
         )
-        return [*list(turns)[:PLACES], *islice(self._agreeing(), PLACES)]
+        return tuple(islice(turns, PLACES))
 
     def _agreeing(self) -> Iterator[tuple[int, int]]:
         """Frames among road users in which the plans are equal and memory does not matter, the
@@ -410,7 +423,7 @@ class InputSearch:
         differ, or more.
         """
         alike = []
-        for row, n in self.places[:PLACES]:
+        for row, n in self.apart:
             plan, recorded = (
                 self.reference.plan_afresh(self.drives[row], (), n),
                 self.drives[row].plans[n],
@@ -434,38 +447,53 @@ class InputSearch:
         several = [group for group in dict.fromkeys(groups) if 1 < len(group) < len(present)]
         return [*single, *several] if len(single) > 1 else []
 
-    def at(self, changes: Sequence[Change], count: int = 2 * PLACES) -> TriedInput:
-        """The changes, tried at the first `count` places."""
-        key = tuple(changes), count
+    def at(self, changes: Sequence[Change], places: Places | None = None) -> TriedInput:
+        """The changes, tried at some of the places; None: at all."""
+        key = tuple(changes), self.places if places is None else places
         if key not in self._tried:
-            if not self.places:  # memory matters in all frames: nothing can be compared alone
+            if not key[1]:  # memory matters in all frames: nothing can be compared alone
                 return TriedInput(key[0], inf, 0, 0)
             pairs = [
                 (
                     self.reference.plan_afresh(self.drives[row], changes, n),
                     self.drives[row].plans[n],
                 )
-                for row, n in self.places[:count]
+                for row, n in key[1]
             ]
             far = [plan_distance(plan, recorded) for plan, recorded in pairs]
             same = sum(same_plan(plan, recorded) for plan, recorded in pairs)
             self._tried[key] = TriedInput(key[0], float(np.mean(far)), same, len(pairs))
         return self._tried[key]
 
-    def everywhere(self, changes: Sequence[Change], most_misses: float = inf) -> TriedInput | None:
-        """The changes, tried on all frames of all drives, in order; None if more than `most_misses`
+    def _to_glance_at(self, before: Sequence[Change], most: int) -> Places:
+        """The first places, at most so many, that changes do not explain."""
+        return tuple(
+            islice((place for place in self.places if not self.at(before, (place,)).same), most)
+        )
+
+    def everywhere(self, changes: Sequence[Change], most_misses: float = inf) -> TriedInput:
+        """The changes, tried on all frames of all drives, in order, until more than `most_misses`
         plans are not equal.
         """
-        misses = total = 0
+        missed: list[tuple[int, int]] = []
+        total = 0
         for row, drive in enumerate(self.drives):
             is_changed = self.reference.is_changed(drive, changes)
             plans = self.reference.plans(drive, changes) if is_changed else self.unchanged[row]
-            for plan, recorded in zip(plans, drive.plans, strict=True):
-                misses += not same_plan(plan, recorded)
-                if misses > most_misses:
-                    return None
-            total += len(drive.plans)
-        return TriedInput(tuple(changes), self.at(changes).distance, total - misses, total)
+            for number, (plan, recorded) in enumerate(zip(plans, drive.plans, strict=True)):
+                total += 1
+                missed += [] if same_plan(plan, recorded) else [(row, number)]
+                if len(missed) > most_misses:
+                    break
+        distance, same = self.at(changes).distance, total - len(missed)
+        return TriedInput(tuple(changes), distance, same, total, tuple(missed))
+
+    def corrected(self, tried: TriedInput) -> tuple[Change, ...]:
+        """The changes with values that are the best in a few of the frames that they missed."""
+        changes, step = tried.changes, max(1, len(tried.missed) // GLANCE)
+        for place in (n for n, change in enumerate(changes) if change.row.has_value):
+            changes = self._best_value(changes, place, tried.missed[::step][:GLANCE]).changes
+        return changes
 
     def inputs(self) -> list[Change]:
         """All changes of the input, each with a first value."""
@@ -476,31 +504,36 @@ class InputSearch:
         ]
 
     def nearer(
-        self, candidates: Sequence[Change], before: Sequence[Change] = ()
+        self, candidates: Sequence[Change], before: Sequence[Change] = (), glance: int = GLANCE
     ) -> list[TriedInput]:
         """The candidates that bring the reference nearer, added to those `before`, with their best
-        values, the best first.
+        values, the best first. Those that do not at the first `glance` places are left out.
         """
         best: list[TriedInput] = []
+        some = self._to_glance_at(before, glance)
         for change in candidates:
             tries = [(*before, replace(change, value=value)) for value in change.row.tries]
-            glances = [tried for tried in tries if self._is_nearer(tried, before, GLANCE)]
+            glances = [tried for tried in tries if self._is_nearer(tried, before, some)]
             near = [self.at(tried) for tried in glances if self._is_nearer(tried, before)]
             if near:
                 best.append(min(near, key=lambda tried: tried.order))
-        promising = sorted(best, key=lambda tried: tried.order)[:PROMISING]
+        promising = sorted(best, key=lambda tried: self.at(tried.changes, self.apart).order)
         refined: list[TriedInput] = []
-        for tried in promising:
+        for tried in promising[:PROMISING]:
             refined.append(self.refined(tried.changes, len(before)))
             if refined[-1].distance == 0.0:
                 break  # nothing is nearer
-        return sorted([*refined, *promising[len(refined) :]], key=lambda tried: tried.order)
+        left = promising[len(refined) : PROMISING]
+        return sorted([*refined, *left], key=lambda tried: tried.order)
 
     def _is_nearer(
-        self, changes: Sequence[Change], before: Sequence[Change], count: int = 2 * PLACES
+        self, changes: Sequence[Change], before: Sequence[Change], places: Places | None = None
     ) -> bool:
-        """Whether more plans are equal than with the changes `before`, or they are nearer."""
-        tried, base = self.at(changes, count), self.at(before, count)
+        """Whether at some of the places, at those of `apart` without, more plans are equal than
+        with the changes `before`, or they are nearer.
+        """
+        where = self.apart if places is None else places
+        tried, base = self.at(changes, where), self.at(before, where)
         return tried.same > base.same or tried.distance < BETTER * base.distance
 
     def finalists(
@@ -513,24 +546,56 @@ class InputSearch:
             tried
             for (changes, places), tried in self._tried.items()
             if len(changes) == count
-            and places > GLANCE
+            and places == self.places
             and all(isinstance(change, kind) for change in changes)
         ]
         tries.sort(key=lambda tried: tried.order)
         as_good = sum(tried.order[:2] == tries[0].order[:2] for tried in tries)
         return [tried.changes for tried in tries[: max(most, as_good)]]
 
+    def tried_anew(self, changes: Sequence[Change], place: int) -> TriedInput:
+        """As `refined`, with the best one of the values that a search begins with."""
+        change = changes[place]
+        tries = [
+            [*changes[:place], replace(change, value=value), *changes[place + 1 :]]
+            for value in {**dict.fromkeys(change.row.tries), change.value: None}
+        ]
+        best = min(map(self.at, tries), key=lambda tried: tried.order)
+        return self.refined(best.changes, place)
+
     def refined(self, changes: Sequence[Change], place: int) -> TriedInput:
-        """The changes with the best value of the one at `place`."""
+        """The changes with the best value of the one at `place`.
+
+        It is searched where the change alone explains most: other places may need another change.
+        It is searched at all places if there are many such values, as of a limit, or none.
+        """
+        others = [*changes[:place], *changes[place + 1 :]]
+        nearer = {
+            where: self.at(changes, (where,)).distance
+            for where in self.apart
+            if self.at(changes, (where,)).distance < self.at(others, (where,)).distance
+        }
+        if not nearer or not changes[place].row.has_value:
+            return self.at(changes)
+        focus = (min(nearer, key=lambda where: nearer[where]),)
+        best = self._best_value(changes, place, focus)
+        value = best.changes[place].value
+        beside = replace(best.changes[place], value=value + max(BESIDE * abs(value), BESIDE))
+        other = [*changes[:place], beside, *changes[place + 1 :]]
+        if not best.is_exact or self.at(other, focus).is_exact:
+            best = self._best_value(best.changes, place, self.places)
+        return self.at(best.changes)
+
+    def _best_value(self, changes: Sequence[Change], place: int, places: Places) -> TriedInput:
+        """As `refined`, at some of the places."""
         change = changes[place]
         row = change.row
 
         def tried(value: float) -> TriedInput:
-            return self.at([*changes[:place], replace(change, value=value), *changes[place + 1 :]])
+            with_value = replace(change, value=value)
+            return self.at([*changes[:place], with_value, *changes[place + 1 :]], places)
 
         best = tried(change.value)
-        if not row.has_value:
-            return best
         values = sorted({*row.tries, change.value})
         index = values.index(change.value)
         low = values[index - 1] if index else values[0] - BEYOND * (values[1] - values[0])

@@ -19,7 +19,7 @@ import numpy as np
 
 from replan.core.arrays import FloatArray
 from replan.explain.input_outlines import MISSED_M, expected_slices
-from replan.explain.input_use import MARGINS_M, OFF_M, AgentUse, InputUse, UsedFrame
+from replan.explain.input_use import MARGINS_M, AgentUse, InputUse, UsedFrame
 from replan.logs.frame import Predictions
 from replan.logs.plan import PlanStart
 from replan.logs.scenario import Scenario
@@ -39,7 +39,8 @@ SAME_M = 0.1
 SHARE_OFF, PLACE_OFF_M = 0.05, 0.3
 """Least errors of the start: share of the ego's speed, and its place."""
 RARE = 0.05
-"""A change is none where fewer S-T outlines than this share are off."""
+RARE_IN_NOISE = 0.5
+"""A change is none where fewer S-T outlines than this share are off; with noise, of all outlines."""
 LEFT_OUT = 0.1
 """Agents are left out if it is this share of those that take the way soon."""
 PURE = 0.95
@@ -81,7 +82,8 @@ GRIDS = {
 AS_SHOWN = {ChangeKind.SHARE: 1.0}
 """The sizes of no change; 0 for the others."""
 LEAST_SIZES = {ChangeKind.AGE: 1.0, ChangeKind.SHARE: 0.1}
-"""Smaller sizes are no fault; of shifts `OFF_M`."""
+LEAST_SHIFT_M = 0.75
+"""Smaller sizes are no fault: margins of planners need not be the same on both sides."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,8 +264,9 @@ def _changed(use: InputUse) -> list[InputFault]:
     seen = [agent for agent in use.agents if np.isfinite(agent.off_m)]
     off = [agent for agent in seen if agent.off_m > agent.allowed_m]
     drawn = [agent for agent in seen if agent.drawn is not None or agent.off_m > agent.allowed_m]
-    compared = drawn if use.trace.perceived is None else seen  # noise makes some outlines differ
-    if len({agent.frame for agent in off}) < LEAST or len(off) < RARE * len(compared):
+    is_exact = use.trace.perceived is None
+    least = RARE * len(drawn) if is_exact else RARE_IN_NOISE * len(seen)
+    if len({agent.frame for agent in off}) < LEAST or len(off) < least:
         return []
     tried = off[:: max(1, len(off) // SAMPLED)]
     allowed = [max(0.5 * agent.allowed_m, 0.25 * agent.off_m) for agent in tried]
@@ -271,7 +274,7 @@ def _changed(use: InputUse) -> list[InputFault]:
     for kind in ChangeKind:
         size, differences = changes.fit(tried, kind)
         explains = (differences <= allowed).mean() >= MOST
-        if explains and abs(size - AS_SHOWN.get(kind, 0.0)) >= LEAST_SIZES.get(kind, OFF_M):
+        if explains and abs(size - AS_SHOWN.get(kind, 0.0)) >= LEAST_SIZES.get(kind, LEAST_SHIFT_M):
             fits.append((float(differences.mean()), kind, size))
     if not fits:
         return []
@@ -297,8 +300,8 @@ def _changed(use: InputUse) -> list[InputFault]:
 
 
 def selector(group: Sequence[AgentUse], others: Sequence[AgentUse]) -> str:
-    """What tells a group of agents from others: their kinds, or a bound between two values; at most
-    two such properties. "" if nothing does, or there are no others.
+    """What tells a group of agents from others: their kinds, or, of two agents or more, a bound
+    between two values; at most two such properties. "" if nothing does, or there are no others.
     """
     kinds = {use.kind for use in group}
     if not others:
@@ -306,7 +309,8 @@ def selector(group: Sequence[AgentUse], others: Sequence[AgentUse]) -> str:
     words = []
     if not kinds & {use.kind for use in others}:
         words.append(f"of kind {', '.join(sorted(kind.value for kind in kinds))}")
-    for name, unit in PROPERTIES:
+    several = len({use.agent for use in group}) > 1
+    for name, unit in PROPERTIES if several else ():
         chosen, left = (np.array([getattr(use, name) for use in part]) for part in (group, others))
         for more, sign in (("more", 1.0), ("less", -1.0)):
             low = sign * np.percentile(sign * left, 100.0 * PURE)

@@ -2,7 +2,7 @@
 Argoverse 2 and others.
 
 The scenario has the ego, boxes, lights over time, and the map of the log or of its place
-(`arrow123d_map`).
+(`arrow123d_road`).
 
 Frames are the rows of sync.arrow. Data of each table are found by the table's own times, not by the
 indices in sync.arrow: those are one frame late in logs of 0.2.0 and up to 3 ms late in asynchronous
@@ -18,7 +18,7 @@ poses before each state, the agents' by backward differences, and the scenario b
 frame, so that every state has earlier poses.
 
 `route_position.arrow` is the ego's future path, and `custom.*` are fields of single data sets:
-neither is read, but for the route in nuPlan's (`arrow123d_map`).
+neither is read, but for the route in nuPlan's (`arrow123d_road`).
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from replan.core.arrow_tables import ipc_table, metadata_of, reading, vectors, w
 from replan.core.errors import LogError
 from replan.logs.complete import completed
 from replan.logs.log_settings import LogSettings
-from replan.logs.maps.arrow123d_map import LIGHTS, map_of, road_of
+from replan.logs.maps.arrow123d_road import LIGHTS, map_of, road_of
 from replan.logs.observed import of_stream
 from replan.logs.readers.arrow123d_boxes import BOXES, is_differenced, read_boxes
 from replan.logs.readers.base import LogContents, Reader, TopicSummary

@@ -29,7 +29,8 @@ from recorded_cases import (
 from replan.core.arrow_tables import Lists, array_of, ipc_table, metadata_of, vectors
 from replan.core.errors import LogError
 from replan.logs.agents import AgentKind
-from replan.logs.maps.arrow123d_map import LANE, read_objects, road_of_map
+from replan.logs.maps.arrow123d_map import road_of_map
+from replan.logs.maps.arrow123d_objects import LANE, read_objects
 from replan.logs.maps.strips import crossable
 from replan.logs.readers import read_log, reader_of
 from replan.logs.readers.arrow123d import READER, read_ego, read_frames

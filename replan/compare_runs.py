@@ -22,8 +22,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from replan.core.errors import ConfigError, LogError, unknown_name
-from replan.core.files import Near, check_named, read_toml
+from replan.core.files import check_named, read_toml
 from replan.core.settings import flat
+from replan.core.urls import Near
 from replan.draw.drawn_results import Results, loaded
 from replan.explain.first_difference import first_difference
 from replan.explain.planners_part import planners_part

@@ -46,9 +46,10 @@ import tomli_w
 from msgspec import Meta
 
 from replan.core.errors import ConfigError
-from replan.core.files import read_toml, url_of
+from replan.core.files import read_toml
 from replan.core.names import visible_name
 from replan.core.settings import Config, known_keys, merged, strict
+from replan.core.urls import url_of
 from replan.logs.log_settings import LogSettings
 from replan.logs.trace import Mode
 from replan.logs.vehicle import VehicleParameters, vehicle_parameters

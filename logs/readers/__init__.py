@@ -20,7 +20,8 @@ import numpy as np
 
 from replan.core.errors import ConfigError, LogError, unknown_name
 from replan.core.extension import ExtensionKind, an_instance
-from replan.core.files import check_regular, local_path, special_kind
+from replan.core.files import check_regular, special_kind
+from replan.core.urls import local_path
 from replan.logs.comparisons import COMPARISONS
 from replan.logs.edit.cut import cut, in_nanoseconds
 from replan.logs.edit.reach import within_reach

@@ -189,7 +189,7 @@ def inspect(
     """List what a log contains, over which time, and what is missing for which evaluation."""
     from replan.cli.convert import unrepaired
     from replan.cli.progress_bar import sign_of_life
-    from replan.core.files import here
+    from replan.core.urls import here
     from replan.logs.summary import summarise
     from replan.replay.loop.reference_drives import discriminate
     from replan.run.sources import log_at

@@ -159,7 +159,7 @@ def view(
     import tempfile
     from contextlib import ExitStack
 
-    from replan.core.files import Near
+    from replan.core.urls import Near
     from replan.draw.recording.pictures import BY_FFMPEG, BY_PILLOW, LAYOUTS
     from replan.draw.view import picture, show
     from replan.run.claim import claimed_file

@@ -11,7 +11,7 @@ import typer
 
 from replan.cli.app import say, say_error, say_json
 from replan.core.errors import ConfigError, unknown_name
-from replan.core.files import on_this_machine
+from replan.core.urls import on_this_machine
 from replan.replay.parts import PARTS, Part, loaded
 
 if TYPE_CHECKING:

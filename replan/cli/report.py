@@ -119,7 +119,7 @@ def merge(
       replan merge shard-1 shard-2 -o results/merged
     """
     from replan.config import load_run
-    from replan.core.files import here
+    from replan.core.urls import here
     from replan.run.output import output_location
     from replan.run.shards import gates_in, merge as merged
 
@@ -171,7 +171,7 @@ def report(
       replan report results/run-001 --baseline baseline.parquet -o reports
     """
     from replan.compare_runs import compare_runs, read_run
-    from replan.core.files import url_of
+    from replan.core.urls import url_of
     from replan.draw.drawn_results import load
     from replan.draw.report.overview import overview
     from replan.draw.report.write import write_reports

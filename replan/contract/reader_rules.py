@@ -11,7 +11,7 @@ import numpy as np
 
 from replan.contract.breaches import Findings, call, difference
 from replan.core.errors import ConfigError, LogError, raised
-from replan.core.files import local_path
+from replan.core.urls import local_path
 from replan.logs.readers import READER, LogSettings, Reader, read_log
 from replan.logs.scenario import Scenario
 

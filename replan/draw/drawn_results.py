@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from replan.core.files import Near
+from replan.core.urls import Near
 from replan.results.load import RECORDINGS, StoredDrive, StoredRun, stored
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from replan.core.errors import ConfigError
-from replan.core.files import here
+from replan.core.urls import here
 from replan.logs.catalogue import FAMILY, families
 from replan.logs.catalogue.family import Family
 from replan.logs.readers import LogSettings

@@ -19,8 +19,8 @@ import pandas as pd
 import tomli_w
 
 from replan.core.errors import ConfigError
-from replan.core.files import local_path, url_of
 from replan.core.names import counted, visible_name
+from replan.core.urls import local_path, url_of
 from replan.logs.catalogue import families
 from replan.mine.coverage import CELL
 from replan.mine.mine import Mined

@@ -201,7 +201,7 @@ def grid_figure(table: pd.DataFrame) -> Chart:
                     inside += plane.heat((i, i + 1.0), (j, j + 1.0), value, limits)
                 if row.verdict in MARKS:
                     over += plane.words(
-                        i + 0.5, j + 0.5, MARKS[str(row.verdict)][0], "name mid title"
+                        i + 0.5, j + 0.5, MARKS[str(row.verdict)][0], "label middle title"
                     )
             axes = dict[str, Any](
                 x_title="walker comes later by [s]",

@@ -24,8 +24,8 @@ import pandas as pd
 from replan.config import RunConfig, load_run
 from replan.core.arrays import FloatArray
 from replan.core.errors import ConfigError, unknown_name
-from replan.core.files import Near
 from replan.core.names import counted
+from replan.core.urls import Near
 from replan.logs.mcap import read_trace
 from replan.logs.plan import Decision, Plan
 from replan.logs.scenario import Scenario

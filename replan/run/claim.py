@@ -27,7 +27,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from replan.core.errors import ConfigError, OutputError, writing
-from replan.core.files import check_named, on_this_machine
+from replan.core.files import check_named
+from replan.core.urls import on_this_machine
 from replan.results.tables import (
     LOCK,
     ORIGIN,

@@ -33,9 +33,9 @@ from uuid import uuid4
 
 from replan.config import IN_MEMORY, LogSelection, RunConfig
 from replan.core.errors import ConfigError, OutputError, ReplanError, encodable
-from replan.core.files import url_of
 from replan.core.kernel import is_cache_cold
 from replan.core.names import listed
+from replan.core.urls import url_of
 from replan.draw.drawn_results import Results
 from replan.logs.catalogue import scenario
 from replan.logs.readers import LogSettings

@@ -23,9 +23,9 @@ import pandas as pd
 import tomli_w
 
 from replan.config import HEADER, IN_MEMORY, RunConfig, dump_run
-from replan.core.files import url_of
 from replan.core.names import told_apart
 from replan.core.settings import dotted, meaning
+from replan.core.urls import url_of
 from replan.draw.drawn_results import Results, load
 from replan.logs.vehicle import VehicleParameters
 from replan.metrics import COLUMNS, health

@@ -39,7 +39,7 @@ from typing import Any
 import msgspec
 
 from replan.core.errors import ConfigError, ReplanError, writing
-from replan.core.files import (
+from replan.core.urls import (
     RemoteFile,
     content,
     fetch,

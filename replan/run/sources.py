@@ -18,18 +18,9 @@ from pathlib import Path
 
 from replan.config import IN_MEMORY, LogSelection
 from replan.core.errors import ConfigError, LogError, encodable
-from replan.core.files import (
-    RemoteFile,
-    check_regular,
-    fetch,
-    heads,
-    listed,
-    local_path,
-    ranged,
-    read_toml,
-    url_of,
-)
+from replan.core.files import check_regular, read_toml
 from replan.core.names import listed as first_of, told_apart
+from replan.core.urls import RemoteFile, fetch, heads, listed, local_path, ranged, url_of
 from replan.logs.catalogue import BUILTIN, FAMILY, scenario, suite
 from replan.logs.maps import map_files
 from replan.logs.mcap import write_scenario

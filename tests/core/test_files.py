@@ -20,11 +20,9 @@ from replan.core.files import (
     LARGEST_TOML_BYTES,
     check_named,
     check_regular,
-    heads,
-    listed,
-    on_this_machine,
     read_toml,
 )
+from replan.core.urls import heads, listed, on_this_machine
 from replan.logs.mcap import read_scenario, write_scenario
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="the system has no named pipes")

@@ -10,6 +10,7 @@ charts can be in one page.
 
 from __future__ import annotations
 
+import re
 from types import MappingProxyType
 from typing import Literal
 
@@ -67,7 +68,9 @@ ego, plan, other, rare: the ego and first curves, the plan, road users, third cu
 bad, good, unsure: outcomes.
 """
 
-TEXT_RULES = """\
+RULES = """
+/* Words. label: a name in a plot area; end, middle: they end or are centred at their x; empty:
+why a chart shows nothing; warning: the name of a broken gate. */
 .chart{font:11px 'DejaVu Sans', Verdana, 'Segoe UI', system-ui, sans-serif}
 .chart text{fill:$ink}
 .chart .small{font-size:10px;fill:$muted}
@@ -78,19 +81,13 @@ TEXT_RULES = """\
 .chart .middle{text-anchor:middle}
 .chart .empty{fill:$muted;font-style:italic;text-anchor:middle}
 .chart text.warning{fill:$bad;font-weight:bold;font-size:10px;paint-order:stroke;stroke:$ground;stroke-width:2.5px}
-"""  # noqa: E501
-"""Words. `label`: a name in a plot area; `end`, `middle`: they end or are centred at their x;
-`empty`: why a chart shows nothing; `warning`: the name of a broken gate.
-"""
-FRAME_RULES = """\
+/* Background and plot area. reference: the present moment, or what values are compared with. */
 .chart .ground{fill:$ground}
 .chart path{fill:none;stroke-linejoin:round}
 .chart .grid{stroke:$grid;stroke-width:1}
 .chart .axis{stroke:$axis;stroke-width:1}
 .chart .reference{stroke:$ink;stroke-width:1.2;stroke-dasharray:6 3}
-"""
-"""Background and plot area. `reference`: the present moment, or what values are compared with."""
-CURVE_RULES = """\
+/* Panels over time: the curves of one drive, or one curve of each drive. */
 .chart .curve1{stroke:$ego;stroke-width:1.8}
 .chart .curve2{stroke:$other;stroke-width:1.6;stroke-dasharray:7 3}
 .chart .curve3{stroke:$rare;stroke-width:1.6;stroke-dasharray:2 2.5}
@@ -99,19 +96,14 @@ CURVE_RULES = """\
 .chart path.drive2{stroke:$rare;stroke-width:1.8;stroke-dasharray:7 3}
 .chart path.drive3{stroke:$plan;stroke-width:1.8;stroke-dasharray:2 2.5}
 .chart path.drive4{stroke:$unsure;stroke-width:1.8;stroke-dasharray:9 3 2 3}
-"""
-"""Panels over time: the curves of one drive, or one curve of each drive."""
-SPAN_RULES = """\
+/* Intervals of time. broken, onset: a gate is broken, and where that begins; decision, normal,
+alarm: bars of the decisions, and other bars. */
 .chart .broken{fill:$bad;fill-opacity:.18}
 .chart .onset{stroke:$bad;stroke-width:1.6}
 .chart .decision{fill:$other;fill-opacity:.32;stroke:$other}
 .chart .normal{fill:$ego;fill-opacity:.16;stroke:$ego}
 .chart .alarm{fill:$bad;fill-opacity:.3;stroke:$bad;stroke-width:1.4}
-"""
-"""Intervals of time. `broken`, `onset`: a gate is broken, and where that begins; `decision`,
-`normal`, `alarm`: bars of the decisions, and other bars.
-"""
-SCENE_RULES = """\
+/* Scenes from above: road, driven and planned paths, egos and road users. */
 .chart path.drivable{fill:$road}
 .chart path.undrivable{fill:$walk}
 .chart .lane_side{stroke:$lane;stroke-width:.8}
@@ -137,18 +129,14 @@ SCENE_RULES = """\
 .chart .pointed_out{fill:$bad;stroke:$ground}
 .chart .velocity{stroke:$other;stroke-width:1.4}
 .chart .paper_plan{stroke:$other;stroke-opacity:.6;stroke-width:6;stroke-linecap:round}
-"""
-"""Scenes from above: road, driven and planned paths, egos and road users."""
-GRAPH_RULES = """\
+/* S-T and S-L graphs. */
 .chart .qp{stroke:$ego;stroke-width:2.2}
 .chart .dp{stroke:$other;stroke-width:1.6;stroke-dasharray:5 3}
 .chart .corridor{fill:$free;fill-opacity:.13;stroke:$free;stroke-width:.8;stroke-opacity:.6}
 .chart .obstacle{fill:$other;fill-opacity:.3;stroke:$other;stroke-width:1.3}
 .chart .ignored{fill:$muted;fill-opacity:.12;stroke:$muted;stroke-width:1;stroke-dasharray:2 2}
 .chart .true_box{stroke:$rare;stroke-width:1.6;stroke-dasharray:2 2.5}
-"""
-"""S-T and S-L graphs."""
-SUMMARY_RULES = """\
+/* Charts of a run and of a comparison: dots, and the lines between or around them. */
 .chart .hollow{fill:$ground;stroke:$ego;stroke-width:1.6}
 .chart .filled{fill:$ego;stroke:$ground}
 .chart .regressed{fill:$bad;stroke:$ground}
@@ -157,9 +145,8 @@ SUMMARY_RULES = """\
 .chart .quartiles{fill:$ego;fill-opacity:.12;stroke:$ego}
 .chart .worse{stroke:$bad;stroke-width:1.6}
 .chart .better{stroke:$good;stroke-width:1.6;stroke-dasharray:4 2}
-"""
-"""Charts of a run and of a comparison: dots, and the lines between or around them."""
-TRIAL_RULES = """\
+/* Pictures of experiments: signs and cells by their outcome, the recorded point in a ring, the
+boundary between outcomes with its bracket, and the Pareto front. */
 .chart .sign{font-size:15px;text-anchor:middle;fill:$ink}
 .chart .sign.blue{fill:$ego}
 .chart .sign.red{fill:$bad}
@@ -176,12 +163,8 @@ TRIAL_RULES = """\
 .chart .boundary{stroke:$ink;stroke-width:2.4}
 .chart .bracket{fill:$ink;fill-opacity:.22}
 .chart .front{stroke:$bad;stroke-width:1.6}
-"""
-"""Pictures of experiments: signs and cells by their outcome, the recorded point in a ring, the
-boundary between outcomes with its bracket, and the Pareto front.
-"""
-RULES = TEXT_RULES + FRAME_RULES + CURVE_RULES + SPAN_RULES + SCENE_RULES
-RULES += GRAPH_RULES + SUMMARY_RULES + TRIAL_RULES
+"""  # noqa: E501
+"""The rules of each class, by chart."""
 
 DRIVES = ("drive1", "drive2", "drive3", "drive4")
 """Classes of the drives in one picture: colour and dash of their lines, colour of the ego in a
@@ -204,7 +187,10 @@ def roles(theme: Theme) -> str:
 
 
 def filled(rules: str, theme: Theme) -> str:
-    """The rules with `$role` as a custom property, or as the colour itself for a fixed theme."""
+    """The rules without comments, and with `$role` as a custom property, or as the colour itself
+    for a fixed theme.
+    """
+    rules = re.sub(r"/\*.*?\*/\n", "", rules, flags=re.DOTALL)
     colours = DARK if theme == "dark" else LIGHT
     for name in sorted(colours, key=len, reverse=True):
         rules = rules.replace(f"${name}", f"var(--{name})" if theme == "auto" else colours[name])

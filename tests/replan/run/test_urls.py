@@ -16,7 +16,7 @@ from command_line import replan
 from process_tree import started
 from short_logs import short
 
-from replan.core.files import listed, local_path, url_of
+from replan.core.urls import listed, local_path, url_of
 from replan.draw.drawn_results import load
 from replan.logs.mcap import write_scenario
 from replan.run.sources import select

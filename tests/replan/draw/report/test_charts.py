@@ -133,7 +133,7 @@ def test_names_from_logs_are_escaped_in_svg() -> None:
 
 
 def _classes(rules: str) -> set[str]:
-    return set(re.findall(r"\.([a-z]\w*)", re.sub(r"{.*?}", "", rules)))
+    return set(re.findall(r"\.([a-z]\w*)", re.sub(r"{.*?}|/\*.*?\*/", "", rules, flags=re.DOTALL)))
 
 
 def test_each_class_of_the_style_is_used() -> None:

@@ -41,8 +41,8 @@ from replan.replay.loop.closed_loop import run_closed_loop
 from replan.replay.loop.open_loop import run_open_loop
 from replan.replay.loop.reference_drives import reference_table, with_avoidability
 from replan.results.log_result import Stamp
+from replan.run.log_source import LogSource
 from replan.run.one_log import evaluate_log
-from replan.run.sources import LogSource
 
 PASSES = 4
 LENGTHS_S = (28.0, 120.0, 600.0)

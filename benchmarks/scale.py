@@ -34,10 +34,11 @@ from replan.results.log_result import LogResult
 from replan.run import evaluate_logs, one_log
 from replan.run.evaluate import Engine, Local
 from replan.run.judging import gates_of, judge_and_write
+from replan.run.log_source import LogSource
 from replan.run.on_ray import OnRay
 from replan.run.pool import run_all
 from replan.run.shards import Shard
-from replan.run.sources import LogSource, Selection
+from replan.run.sources import Selection
 
 RUN = RunConfig(recording=False, internals="none")
 END = replace(RUN, planners=("constant_speed",))

@@ -36,7 +36,8 @@ from replan.planners.piecewise_jerk.problem import PiecewiseJerkProblem
 from replan.planners.piecewise_jerk.solvers import SOLVERS, matrices, solve, structure, vectors
 from replan.planners.solver import QPResult
 from replan.replay.loop.closed_loop import run_closed_loop
-from replan.run.sources import LogSource, builtin_suite
+from replan.run.log_source import LogSource
+from replan.run.sources import builtin_suite
 
 REFERENCE = 1e-9
 Asked = tuple[str, PiecewiseJerkProblem, float]

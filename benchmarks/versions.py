@@ -130,7 +130,7 @@ def _driver() -> Callable[..., Measured]:
     from replan.replay import drive
     from replan.replay.loop.closed_loop import run_closed_loop
     from replan.replay.perception import Perception
-    from replan.run.sources import LogSource
+    from replan.run.log_source import LogSource
 
     drive.perf_counter = time.thread_time  # type: ignore[attr-defined]
     chooses = "keep_internals" in inspect.signature(run_closed_loop).parameters
@@ -193,7 +193,7 @@ def _evaluated(paths: list[str], recording: bool) -> float:
 def _as_file(label: str, folder: Path) -> str:
     """A log of the suite as a file: versions have suites of their own."""
     from replan.logs.mcap import write_scenario
-    from replan.run.sources import LogSource
+    from replan.run.log_source import LogSource
 
     path = folder / f"{label.replace('/', '_')}.mcap"
     write_scenario(path, LogSource(label, None).read())

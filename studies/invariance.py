@@ -48,8 +48,9 @@ from replan.replay.loop.reference_drives import with_avoidability
 from replan.replay.loop_config import LoopConfig
 from replan.results.tables import write_file
 from replan.run.ensemble import noisy
+from replan.run.log_source import LogSource
 from replan.run.pool import WorkerLost, run_all
-from replan.run.sources import LogSource, builtin_suite, select
+from replan.run.sources import builtin_suite, select
 
 TURNS_DEG = (30, 45, 60, 90, 120, 150, 180, 210, 240, 270, 300, 330)
 TINY = 1e-9

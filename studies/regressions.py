@@ -38,7 +38,8 @@ from replan.metrics.judge.gates import GateRule, Outcome
 from replan.planners.dp_qp.planner import DpQp
 from replan.results.tables import safe_name, write_file
 from replan.run import evaluate_logs
-from replan.run.sources import LogSource, builtin_suite, select
+from replan.run.log_source import LogSource
+from replan.run.sources import builtin_suite, select
 
 TINY_M = 1e-9
 PLANNER = "dp_qp"

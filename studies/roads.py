@@ -64,8 +64,9 @@ from replan.metrics.route_gain import gain_along, route_of
 from replan.paper.reproduce import markdown
 from replan.replay.loop.closed_loop import run_closed_loop
 from replan.results.tables import safe_name, write_file
+from replan.run.log_source import LogSource
 from replan.run.pool import WorkerLost, run_all
-from replan.run.sources import LogSource, select
+from replan.run.sources import select
 
 WINDOW_S, EVERY_S, LEAST_S, LEAST_M, NEAR_M = 10.0, 2.0, 4.0, 5.0, 1.0
 """Length and distance of windows; less time, or less way of the person, is no drive."""

@@ -28,7 +28,7 @@ from replan.logs.mcap.osi_frames import (
     AX,
     FRAME,
     YAW,
-    GroundTruth,
+    OsiFrames,
     X,
     Y,
     Z,
@@ -102,7 +102,7 @@ def scenario_of(stream: Stream, name: str, ego_id: str = "") -> Scenario:
         )
 
 
-def _host(truth: GroundTruth, stream: Stream, ego_id: str) -> int:
+def _host(truth: OsiFrames, stream: Stream, ego_id: str) -> int:
     """The id of the ego; LogError if there is none."""
     host = truth.host
     if ego_id:
@@ -170,7 +170,7 @@ def _ego(rows: FloatArray, t: FloatArray, rear: FloatArray, notes: list[str]) ->
 
 
 def _tracks(
-    truth: GroundTruth,
+    truth: OsiFrames,
     host: int,
     samples: dict[int, FloatArray],
     t: FloatArray,

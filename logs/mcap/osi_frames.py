@@ -65,7 +65,7 @@ class OsiMap:
 
 
 @dataclass
-class GroundTruth:
+class OsiFrames:
     """All frames.
 
     Attributes:
@@ -114,13 +114,13 @@ def _motion(base: Any) -> Iterator[float]:
     yield position.z
 
 
-def ground_truth_of(stream: Stream) -> GroundTruth:
+def ground_truth_of(stream: Stream) -> OsiFrames:
     """Decode the messages of a topic.
 
     Raises:
         LogError: The descriptor or a message cannot be decoded, or time does not increase.
     """
-    kind, truth = _message_class(stream), GroundTruth()
+    kind, truth = _message_class(stream), OsiFrames()
     for log_time, payload in zip(stream.times, stream.payloads, strict=True):
         try:
             message = kind.FromString(payload)

@@ -12,7 +12,7 @@ from replan.logs.readers import LogSettings
 from replan.logs.scenario import Scenario
 from replan.metrics.arrival import goal_of
 from replan.metrics.boxes import phantoms, without_phantoms
-from replan.run.sources import LogSource
+from replan.run.log_source import LogSource
 
 
 def prepared(scenario: Scenario) -> Scenario:

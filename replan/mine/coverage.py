@@ -20,7 +20,8 @@ from replan.logs.catalogue import families
 from replan.mine.mine import ALONE, FASTER, ROADS, SPEEDS
 from replan.results.tables import write_csv
 from replan.run.claim import FolderContents
-from replan.run.sources import LogSource, Selection
+from replan.run.log_source import LogSource
+from replan.run.sources import Selection
 
 CELL = ("kind", "road", "agent_kind", "speed")
 _ORDER = {

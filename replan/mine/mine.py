@@ -42,10 +42,11 @@ from replan.results.tables import write_json, write_parquet, write_text
 from replan.results.version import replan_version
 from replan.run.claim import FolderContents, claimed_folder
 from replan.run.evaluate import longest_first
+from replan.run.log_source import LogSource, log_hash
 from replan.run.output import write_origin
 from replan.run.pool import WorkerLost, run_all
 from replan.run.resume import Study, identity_of, stamp_of
-from replan.run.sources import LogSource, Selection, log_hash
+from replan.run.sources import Selection
 
 EVENTS, LOGS, HEALTH = "events.parquet", "logs.parquet", "health.parquet"
 CARD = "mined.json"

@@ -281,7 +281,7 @@ TABLES: dict[str, Table] = {
         "that should not matter.",
         *_METRICS,
         ("member", "count", "from 1"),
-        ("perturbation", "text", "what was changed (`replan/run/sources.py`)"),
+        ("perturbation", "text", "what was changed (`replan/run/ensemble.py`)"),
     ),
 }
 """Tables by file name.

@@ -49,12 +49,13 @@ from replan.results.tables import clear_partial, write_text
 from replan.run.checks import checked
 from replan.run.claim import RUN, claimed_folder, emptied
 from replan.run.judging import explained, gates_of, judge_and_write
+from replan.run.log_source import LogSource
 from replan.run.one_log import evaluate_log
 from replan.run.output import write_origin
 from replan.run.pool import WorkerLost, run_all
 from replan.run.resume import finished, stamp_of
 from replan.run.shards import Shard, write_card
-from replan.run.sources import LogSource, Selection, builtin_suite, named_suite, select, suite_file
+from replan.run.sources import Selection, builtin_suite, named_suite, select, suite_file
 
 
 def evaluate_logs(

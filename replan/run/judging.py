@@ -58,8 +58,9 @@ from replan.results.tables import (
     write_timings,
 )
 from replan.results.version import replan_version
+from replan.run.log_source import LogSource
 from replan.run.one_log import all_metrics
-from replan.run.sources import LogSource, Selection
+from replan.run.sources import Selection
 
 
 def gates_of(run: RunConfig, path: Path | None) -> Gates:

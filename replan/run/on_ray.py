@@ -39,9 +39,9 @@ from replan.replay.planner_process.connection import command_of
 from replan.results.log_result import Failure, LogResult, Stamp
 from replan.results.tables import write_folder
 from replan.run.evaluate import Job, longest_first
+from replan.run.log_source import LogSource
 from replan.run.pool import WorkerLost, freeze_gc
 from replan.run.resume import stamp_of
-from replan.run.sources import LogSource
 
 T = TypeVar("T")
 

@@ -73,7 +73,7 @@ from replan.results.tables import (
     safe_names,
 )
 from replan.run.ensemble import perturbed
-from replan.run.sources import LogSource, file_hash
+from replan.run.log_source import LogSource, file_hash
 
 LOOPS = {Mode.OPEN: run_open_loop, Mode.CLOSED: run_closed_loop}
 

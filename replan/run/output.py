@@ -58,7 +58,8 @@ from replan.logs.scenario import Scenario
 from replan.results.log_result import LogResult
 from replan.results.schema import Place, read_json
 from replan.results.tables import FILES, LOCK, LOG_CARD, ORIGIN, PARTIAL, write_json
-from replan.run.sources import LogSource, log_hash, select
+from replan.run.log_source import LogSource, log_hash
+from replan.run.sources import select
 
 _NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.EINVAL)
 _CARD_BYTES = 4096

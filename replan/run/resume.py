@@ -39,7 +39,7 @@ from replan.results.log_result import LogResult, Stamp, load_result
 from replan.results.tables import FILES, LOG_CARD, PARTIAL, clear_partial, write_text
 from replan.results.version import replan_version
 from replan.run.claim import STUDY, emptied
-from replan.run.sources import LogSource
+from replan.run.log_source import LogSource
 
 START_OVER = "leave out --resume to start over"
 

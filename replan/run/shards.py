@@ -39,9 +39,10 @@ from replan.results.schema import Name, Place, read_json
 from replan.results.tables import SHARD_CARD, write_folder, write_json, write_text
 from replan.run.claim import MERGED, claimed_folder, emptied
 from replan.run.judging import explained, gates_of, judge_and_write
+from replan.run.log_source import LogSource
 from replan.run.output import begun_in, write_origin
 from replan.run.resume import changes, identity_of, stamp_of
-from replan.run.sources import LogSource, Selection
+from replan.run.sources import Selection
 
 
 @dataclass(frozen=True)

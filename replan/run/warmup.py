@@ -18,8 +18,8 @@ from replan.replay.parts import OF_LOOP, PLANNER
 from replan.results.log_result import Failure, LogResult
 from replan.run.checks import checked
 from replan.run.evaluate import Local
+from replan.run.log_source import LogSource
 from replan.run.resume import stamp_of
-from replan.run.sources import LogSource
 
 SCENES = (
     "paper/crossing_pedestrian",

@@ -11,7 +11,7 @@ import pytest
 
 from replan.logs.catalogue import CATALOGUE
 from replan.logs.mcap import write_scenario
-from replan.run.sources import LogSource
+from replan.run.log_source import LogSource
 from studies.invariance import COLUMNS, PERTURBATIONS, Job, compare, counted, main, parted
 
 

@@ -13,7 +13,7 @@ from replan.logs.catalogue import CATALOGUE, FAMILIES, raw
 from replan.logs.readers import read_log
 from replan.logs.repair.detections import Detections, needs_repair
 from replan.logs.scenario import Scenario
-from replan.run.sources import LogSource
+from replan.run.log_source import LogSource
 
 
 def detections(name: str, **parameters: float) -> Detections:

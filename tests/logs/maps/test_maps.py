@@ -20,7 +20,7 @@ from replan.logs.mcap import read_scenario, write_scenario
 from replan.logs.readers import LogSettings, read_log
 from replan.logs.road import IN_JUNCTION, Road
 from replan.logs.scenario import Scenario
-from replan.run.sources import LogSource
+from replan.run.log_source import LogSource
 
 MAP, NAMES = crossroads()
 CALLED = {number: name for name, number in NAMES.items()}

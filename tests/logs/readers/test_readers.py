@@ -24,7 +24,8 @@ from replan.logs.mcap import read_scenario, write_scenario
 from replan.logs.readers import LogSettings, Reader, logs_in, read_log, reader_of, readers, windows
 from replan.logs.scenario import Scenario
 from replan.run import evaluate_logs
-from replan.run.sources import LogSource, select
+from replan.run.log_source import LogSource
+from replan.run.sources import select
 
 SCENARIO = CATALOGUE["everyday/cut_in"].scenario()
 

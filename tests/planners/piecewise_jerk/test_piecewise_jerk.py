@@ -26,7 +26,7 @@ from replan.planners.piecewise_jerk.problem import PiecewiseJerkProblem, Weights
 from replan.planners.piecewise_jerk.solvers import SOLVERS, matrices, solve, structure, vectors
 from replan.planners.solver import QPResult
 from replan.replay.loop.open_loop import run_open_loop
-from replan.run.sources import LogSource
+from replan.run.log_source import LogSource
 
 SEED = st.integers(0, 2**32 - 1)
 

@@ -76,7 +76,8 @@ def test_kernels_that_are_compiled_meanwhile_are_counted(monkeypatch: pytest.Mon
 def test_progress_is_lines_on_stderr(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from replan.run.sources import LogSource, Selection
+    from replan.run.log_source import LogSource
+    from replan.run.sources import Selection
 
     clock = iter(range(0, 1000, 10))
     monkeypatch.setattr("replan.cli.progress_bar.monotonic", lambda: float(next(clock)))

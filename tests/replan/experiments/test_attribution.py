@@ -15,7 +15,7 @@ from replan.core.settings import flat, nested
 from replan.experiments.input_search import rounded
 from replan.logs.mcap import write_scenario
 from replan.results.tables import safe_name
-from replan.run.sources import LogSource
+from replan.run.log_source import LogSource
 
 FAULTY = '''
 from dataclasses import replace

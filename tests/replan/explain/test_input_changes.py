@@ -22,7 +22,7 @@ from replan.explain.input_changes import (
 from replan.logs.agents import NUMBERS, AgentKind
 from replan.logs.frame import Frame
 from replan.logs.rules import Colour
-from replan.run.sources import LogSource
+from replan.run.log_source import LogSource
 
 SCENARIO = LogSource("everyday/pull_outs").read()
 FRAMES = [

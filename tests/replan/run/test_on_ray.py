@@ -181,7 +181,7 @@ def test_a_log_that_no_node_sees_and_other_code_are_said(
     logs: Path, tmp_path: Path, monkeypatch: Any
 ) -> None:
     from replan.run import on_ray
-    from replan.run.sources import LogSource
+    from replan.run.log_source import LogSource
 
     stamp = on_ray.stamp_of(QUICK)
     gone = LogSource("gone.mcap", tmp_path / "gone.mcap")

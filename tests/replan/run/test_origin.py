@@ -14,8 +14,8 @@ from replan.core.errors import ConfigError
 from replan.draw.drawn_results import load
 from replan.logs.mcap import write_scenario
 from replan.logs.readers import LogSettings
+from replan.run.log_source import log_hash
 from replan.run.output import log_of, write_origin
-from replan.run.sources import log_hash
 
 SOURCE = Path("my_logs", "a.mcap")
 

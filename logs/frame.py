@@ -15,6 +15,7 @@ import numpy as np
 from replan.core.arrays import BoolArray, FloatArray, IntArray, frozen
 from replan.core.kernel import kernel
 from replan.logs.agents import Agents
+from replan.logs.past import NOTHING_EARLIER, Earlier, Moment, Past
 from replan.logs.plan import Plan
 from replan.logs.polylines import inside
 from replan.logs.road import Goal, Road
@@ -116,6 +117,7 @@ class Frame:
         visibility: The ground that the sensor can see; None: everything (perception by ground
             truth).
         lights: Current colour of each traffic light of the road, by its id.
+        earlier: What `past` is made of.
     """
 
     t: float
@@ -125,6 +127,20 @@ class Frame:
     previous: Plan | None = None
     visibility: Visibility | None = None
     lights: Mapping[int, Colour] = field(default_factory=dict)
+    earlier: Earlier = NOTHING_EARLIER
+
+    @property
+    def moment(self) -> Moment:
+        """Ego, agents and lights of the frame."""
+        return Moment(self.t, self.ego, self.agents, self.lights)
+
+    @property
+    def past(self) -> Past:
+        """The last 2.1 s before the frame, the same in both loops whatever the planner saw before.
+
+        It is made at each call: read it once. A frame that is made by hand has a past that is held.
+        """
+        return self.earlier.past(self.moment)
 
 
 PLAN_HORIZON_S = 3.0

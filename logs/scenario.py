@@ -5,7 +5,7 @@ What reference drivers do in it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cached_property
@@ -19,7 +19,7 @@ from replan.logs.observed import Spans, inferred
 from replan.logs.repair.detections import Detections, Repair
 from replan.logs.road import Goal, Road
 from replan.logs.rules import TrafficLight
-from replan.logs.states import Controls, OnboardPlan, Trajectory
+from replan.logs.states import Controls, OnboardPlan, Trajectory, joined
 from replan.logs.tracks import Tracks
 from replan.logs.vehicle import VehicleParameters
 
@@ -93,6 +93,8 @@ class Scenario:
             complete.
         repair: The repair that made the tracks from detections; None: the tracks are the log's own.
         references: What reference drivers do in it; the replay adds them, no log holds them.
+        before: States of the ego before its first one in `ego`, for the past of planners; None if
+            the log has none.
 
     Raises:
         ValueError: The scenario is shorter than its ego log, two lights have one id, or a traffic
@@ -120,6 +122,7 @@ class Scenario:
     detections: Detections | None = None
     repair: Repair | None = None
     references: References = field(default_factory=References)
+    before: Trajectory | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "metadata", MappingProxyType(dict(self.metadata)))
@@ -144,9 +147,21 @@ class Scenario:
         ahead = self.vehicle.axle_to_center - vehicle.axle_to_center
         if self.metadata.get(EGO_POSE) != CENTRE or ahead == 0.0:
             return replace(self, vehicle=vehicle)
-        ego = self.ego
-        x, y = ego.x + ahead * np.cos(ego.yaw), ego.y + ahead * np.sin(ego.yaw)
-        return replace(self, vehicle=vehicle, ego=replace(ego, x=x, y=y))
+
+        def shifted(ego: Trajectory) -> Trajectory:
+            x, y = ego.x + ahead * np.cos(ego.yaw), ego.y + ahead * np.sin(ego.yaw)
+            return replace(ego, x=x, y=y)
+
+        return replace(self.with_ego(shifted), vehicle=vehicle)
+
+    def with_ego(self, change: Callable[[Trajectory], Trajectory]) -> Scenario:
+        """Return the scenario with a change of the ego's states, also of those before the start."""
+        return replace(self, ego=change(self.ego), before=self.before and change(self.before))
+
+    @property
+    def whole_ego(self) -> Trajectory:
+        """The states of the ego, with those before the start."""
+        return self.ego if self.before is None else joined(self.before, self.ego)
 
     @cached_property
     def short_names(self) -> ShortNames:

@@ -12,7 +12,7 @@ its rear axle.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from math import cos, floor, pi, sin
 from typing import Any
 
@@ -64,6 +64,20 @@ class EgoState:
     def ahead(self, way: float) -> tuple[float, float]:
         """Return the point `way` m before the rear axle along the body, world, m."""
         return self.x + way * cos(self.yaw), self.y + way * sin(self.yaw)
+
+    def later(self, t: float) -> EgoState:
+        """Return the state at `t`, also an earlier time, on the arc of its curvature at its speed.
+
+        (x, y) moves by v dt sinc(turn / 2) along yaw + turn / 2,  turn = kappa v dt
+        """
+        way = self.v * (t - self.t)
+        turn = self.kappa * way
+        chord = way * float(np.sinc(0.5 * turn / pi))
+        x, y = (
+            self.x + chord * cos(self.yaw + 0.5 * turn),
+            self.y + chord * sin(self.yaw + 0.5 * turn),
+        )
+        return replace(self, t=t, x=x, y=y, yaw=self.yaw + turn)
 
     def offset_of(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return how far ahead of the rear axle and how far to its left points `(n,)`, world, m,
@@ -188,6 +202,13 @@ class Trajectory:
     def taken(self, rows: slice | NDArray[Any]) -> Trajectory:
         """Return these samples; ValueError if there is none."""
         return Trajectory(*(getattr(self, name)[rows] for name in TRAJECTORY_COLUMNS))
+
+
+def joined(first: Trajectory, second: Trajectory) -> Trajectory:
+    """Return the samples of two trajectories, one after the other; ValueError if they overlap."""
+    return Trajectory(
+        *(np.r_[getattr(first, name), getattr(second, name)] for name in TRAJECTORY_COLUMNS)
+    )
 
 
 TRAJECTORY_COLUMNS = tuple(field.name for field in fields(Trajectory))

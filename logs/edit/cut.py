@@ -1,11 +1,12 @@
 """Cuts a part of a scenario by time, and rounds times to whole nanoseconds.
 
 The begin of a part becomes t = 0, and data outside are left out. The ego's first and last state are
-interpolated at the begin and end. Tracks keep the samples from `HISTORY_S` before the begin, which
-show who is present and how they move, to the first after the end, if that is at most `HISTORY_S`
-later. Lights keep their colour at the begin. Detections are kept from `DETECTED_S` before the
-begin, longer than the memory of a tracker. A lane along the driven path is made anew from the
-states of the part.
+interpolated at the begin and end; its states from `HISTORY_S` before the begin on are its past.
+Tracks keep the samples from `HISTORY_S` before the begin, which show who is present and how they
+move, to the first after the end, if that is at most `HISTORY_S` later. Lights keep their colour at
+that time, and its changes since then. Detections are kept from `DETECTED_S` before the begin, which
+is longer than the memory of a tracker. A lane along the driven path is made anew from the states of
+the part.
 
 Native MCAP holds whole nanoseconds. Every scenario has such times, so that a log and its conversion
 are the same bit for bit:
@@ -33,9 +34,9 @@ from replan.logs.scenario import Scenario
 from replan.logs.states import Controls, OnboardPlan, Trajectory
 from replan.logs.tracks import Tracks
 
-HISTORY_S = 2.0
-"""Tracks keep this time before a part, s: longer than any sample is valid
-(`replan.logs.observed.MAX_GAP_S`).
+HISTORY_S = 2.2
+"""Time that is kept before a part, s: longer than any sample is valid
+(`replan.logs.observed.MAX_GAP_S`), and than the past of a planner (`replan.logs.past.PAST_S`).
 """
 DETECTED_S = 10.0
 """Detections keep this time before a part, s: a repair joins across gaps up to 8 s, a tracker up to
@@ -67,6 +68,12 @@ def cut(scenario: Scenario, begin: float, end: float = inf) -> Scenario:
     t = np.r_[first, ego.t[(ego.t > first + CLOSE_S) & (ego.t < last - CLOSE_S)], last]
     moved = ego.resampled(t)
     columns = (getattr(moved, name) for name in ("x", "y", "yaw", "v", "a", "kappa"))
+    earlier = scenario.whole_ego
+    history = (earlier.t >= begin - HISTORY_S) & (earlier.t < first - CLOSE_S)
+    before = None
+    if history.any():
+        before = earlier.taken(history)
+        before = replace(before, t=before.t - begin)
     samples = _samples_within(scenario.tracks, begin, end)
     tracks = scenario.tracks.taken(samples).shifted(-begin)
     goal = scenario.goal
@@ -87,12 +94,12 @@ def cut(scenario: Scenario, begin: float, end: float = inf) -> Scenario:
         if plan.known <= end:
             moved_plan = replace(plan.trajectory, t=plan.trajectory.t - begin)
             onboard.append(OnboardPlan(plan.known - begin, moved_plan))
-    # From the last change before the begin on; lights first observed after the end are left out
+    # From the last change before the history on; lights first observed after the end are left out
     lights = []
     for light in scenario.lights:
-        before = max(int(np.searchsorted(light.t, begin, side="right")) - 1, 0)
+        known = max(int(np.searchsorted(light.t, begin - HISTORY_S, side="right")) - 1, 0)
         shown = np.flatnonzero(light.t <= end)
-        shown = shown[shown >= before]
+        shown = shown[shown >= known]
         if len(shown):
             lights.append(
                 TrafficLight(
@@ -109,6 +116,7 @@ def cut(scenario: Scenario, begin: float, end: float = inf) -> Scenario:
         scenario,
         name=f"{scenario.name}@{begin:g}",
         ego=driven,
+        before=before,
         road=road,
         tracks=tracks,
         duration=min(end, scenario.duration) - begin,
@@ -179,6 +187,7 @@ def in_nanoseconds(scenario: Scenario) -> Scenario:
         return replace(
             scenario,
             ego=_columns_over_time(scenario.ego),
+            before=scenario.before and _columns_over_time(scenario.before),
             tracks=tracks,
             controls=None if controls is None else _columns_over_time(controls),
             lights=tuple(map(_columns_over_time, scenario.lights)),

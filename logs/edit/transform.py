@@ -59,6 +59,7 @@ def moved(scenario: Scenario, dx: float, dy: float, dyaw: float) -> Scenario:
     turned = replace(
         scenario,
         ego=turned_trajectory(scenario.ego),
+        before=scenario.before and turned_trajectory(scenario.before),
         onboard=_with_trajectories(scenario.onboard, turned_trajectory),
         **_with_boxes(scenario, turned_boxes),
         goal=None if scenario.goal is None else scenario.goal.changed(turned_goal),
@@ -216,6 +217,7 @@ def mirrored(scenario: Scenario) -> Scenario:
         scenario,
         name=name.removesuffix(MIRRORED) if name.endswith(MIRRORED) else name + MIRRORED,
         ego=mirrored_trajectory(scenario.ego),
+        before=scenario.before and mirrored_trajectory(scenario.before),
         onboard=_with_trajectories(scenario.onboard, mirrored_trajectory),
         **_with_boxes(scenario, flipped_boxes),
         road=road,
@@ -259,6 +261,7 @@ def _with_points(scenario: Scenario, points: _Points) -> Scenario:
     return replace(
         scenario,
         ego=elsewhere(scenario.ego),
+        before=scenario.before and elsewhere(scenario.before),
         onboard=_with_trajectories(scenario.onboard, elsewhere),
         **boxes,
         road=placed_road(scenario.road, points),

@@ -227,13 +227,15 @@ def ego_start(scenario: Scenario, agents: Sequence[str], value: float) -> Scenar
     columns, goal = (start.t, x, y, yaw, start.v, 0.0, kappa), scenario.goal
     goal = goal and goal.after(value)
     # (4)
-    return replace(scenario, ego=Trajectory(*(np.array([value]) for value in columns)), goal=goal)
+    ego = Trajectory(*(np.array([value]) for value in columns))
+    return replace(scenario, ego=ego, before=None, goal=goal)
 
 
 def ego_speed(scenario: Scenario, agents: Sequence[str], value: float) -> Scenario:
     """The scenario with the speed of the ego's start times a factor (4)."""
     start = start_of(scenario.ego)
-    return replace(scenario, ego=replace(start, v=value * start.v, a=np.zeros(1)))
+    ego = replace(start, v=value * start.v, a=np.zeros(1))
+    return replace(scenario, ego=ego, before=None)
 
 
 def check_start(original: Scenario, varied_scenario: Scenario) -> None:

@@ -9,6 +9,7 @@
               replan.trace               only in a trace: planner, mode, oracle, end, detail
 
     /ego             Ego           one state a message: required, the rest is optional
+    /ego/before      Ego           its states before start_ns, which planners see as its past
     /controls        Controls      logged steering and pedals, one sample a message
     /agents/table    AgentTable    once: who the others are
     /agents          AgentColumns  where they are: a message holds all those sampled at its log time
@@ -300,6 +301,7 @@ TOPICS: dict[str, type[msgspec.Struct]] = {
     "/removed/table": AgentTable,
     "/removed": AgentColumns,
     "/ego": Ego,
+    "/ego/before": Ego,
     "/controls": Controls,
     "/onboard": OnboardPlan,
     "/perceived/table": AgentTable,

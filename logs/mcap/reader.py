@@ -104,6 +104,11 @@ def _native(container: Container) -> Scenario:
         )
     with reading(topic="/ego", remedy=MEND):
         ego = completed(sampled(streams["/ego"], native.Ego, start_ns), notes)
+    history = streams.get("/ego/before")
+    before = None
+    if history:
+        with reading(topic="/ego/before", remedy=MEND):
+            before = Trajectory(**sampled(history, native.Ego, start_ns))
     tracks, extended = marked_tracks(streams, start_ns, notes)
     detections, repair = _detections(streams, start_ns, tracks, extended)
     road = _road(_one(streams, "/road", native.Road), ego, notes)
@@ -142,6 +147,7 @@ def _native(container: Container) -> Scenario:
         return Scenario(
             name=record.get("name", container.path.stem),
             ego=ego,
+            before=before,
             tracks=tracks,
             road=road,
             duration=_from_record(record, "duration_s", float, float(ego.t[-1])),

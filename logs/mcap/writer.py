@@ -230,6 +230,8 @@ def scenario_entries(scenario: Scenario, *, blocks: bool = False) -> Iterator[En
     if detections is not None:
         yield from _detections(detections, start)
     yield from samples(scenario.ego, native.Ego, "/ego", start, blocks=blocks)
+    if scenario.before is not None:
+        yield from samples(scenario.before, native.Ego, "/ego/before", start, blocks=blocks)
     if scenario.controls is not None:
         yield from samples(scenario.controls, native.Controls, "/controls", start, blocks=blocks)
     times = log_times(np.array([plan.known for plan in scenario.onboard]), start, "/onboard")

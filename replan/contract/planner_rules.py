@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from math import hypot
 from typing import Any
@@ -29,6 +29,7 @@ from replan.replay.planner_process.coordinates import (
     coordinates_of,
     frame_in_map,
 )
+from replan.replay.planner_process.past_messages import NOT_ASKED, past_s_of
 from replan.replay.planner_process.planner_config import of_class, planner_part
 from replan.replay.world import World, logged_ego
 
@@ -55,6 +56,9 @@ PLANNER_RULES: Mapping[str, str] = {
 """The rules for planners, with their remedies."""
 SHARES = (0.0, 0.35, 0.7)
 """The frames that are examined one by one, as shares of the logged drive."""
+RECENT_FRAMES = 5
+RECENT_S = RECENT_FRAMES * LOOP.plan_period_s
+"""Before each of these frames the planner gets those of the last `RECENT_S`."""
 CLOSED_S = 2.0
 """Length of the closed loop, s."""
 ROUNDING = 1e-9
@@ -116,14 +120,26 @@ def context_of(scenario: Scenario) -> PlannerContext:
 
 def frame_of(scenario: Scenario, t: float) -> Frame:
     """Return the frame at a time of the logged drive, without a previous plan."""
-    world = World(logged_ego(scenario.ego, scenario.vehicle, t), scenario.tracks)
-    return Perception(scenario, LOOP).frame(world, None)
+    return frames_of(scenario, [t])[0]
+
+
+def frames_of(scenario: Scenario, times: Sequence[float]) -> list[Frame]:
+    """Return frames of the logged drive that follow each other, without a previous plan."""
+    perception = Perception(scenario, LOOP)
+    egos = (logged_ego(scenario.ego, scenario.vehicle, t) for t in times)
+    return [perception.frame(World(ego, scenario.tracks), None) for ego in egos]
 
 
 def frame_times_of(scenario: Scenario) -> list[float]:
     """Return the times of the frames that are examined one by one."""
     first, last = float(scenario.ego.t[0]), float(scenario.ego.t[-1])
     return [round(first + share * (last - first), 2) for share in SHARES]
+
+
+def recent_times(scenario: Scenario, t: float) -> list[float]:
+    """Return the times of the frames just before a time, as far as the log has them."""
+    times = [round(t - RECENT_S + k * LOOP.plan_period_s, 6) for k in range(RECENT_FRAMES)]
+    return [earlier for earlier in times if earlier >= scenario.ego.t[0]]
 
 
 def until(tracks: Tracks, t: float) -> Tracks:
@@ -138,7 +154,7 @@ def _check_frames(factory: Factory, scenario: Scenario, findings: Findings) -> N
     """Check the rules about single frames; the frames of one planner follow each other."""
 
     def build(seen_scenario: Scenario) -> Planner:
-        return built(factory, context_of(seen_scenario))
+        return Asking.of(factory, built(factory, context_of(seen_scenario)))
 
     first, second = (call(findings, "build", scenario.name, build, scenario) for _ in range(2))
     if first is None or second is None:
@@ -146,6 +162,10 @@ def _check_frames(factory: Factory, scenario: Scenario, findings: Findings) -> N
     for t in frame_times_of(scenario):
         where = f"{scenario.name}, {t:.2f} s"
         frame, again = frame_of(scenario, t), frame_of(scenario, t)
+        # What it saw just before is in the past of the frame, and must not be in its memory only
+        for earlier in frames_of(scenario, recent_times(scenario, t)):
+            for planner in (first, second):
+                call(findings, "answer", where, planner.plan, earlier)
         plan = call(findings, "answer", where, first.plan, frame)
         check_plan(plan, frame, where, findings)
         changed = difference(frame, again)
@@ -237,6 +257,22 @@ def check_plan(plan: object, frame: Frame, where: str, findings: Findings) -> No
         findings.add(rule, where, driven.reason)
 
 
+class Asking:
+    """A planner whose frames have a past only if its class asks for it, as in its own process."""
+
+    def __init__(self, planner: Planner, asked: float) -> None:
+        self._planner, self._asked = planner, asked
+
+    @classmethod
+    def of(cls, factory: Factory, planner: Planner) -> Asking:
+        """A planner as its factory built it."""
+        return cls(planner, past_s_of(factory))
+
+    def plan(self, frame: Frame) -> Plan:
+        """Return the planner's answer."""
+        return self._planner.plan(frame if self._asked else replace(frame, earlier=NOT_ASKED))
+
+
 class _WatchedPlanner:
     """A planner whose plans are checked as it makes them."""
 
@@ -255,7 +291,8 @@ def _check_closed_loop(factory: Factory, scenario: Scenario, findings: Findings)
 
         def __init__(self, *arguments: Any, **keywords: Any) -> None:
             super().__init__(*arguments, **keywords)
-            self._planner = _WatchedPlanner(built(factory, self.context), scenario.name, findings)
+            asking = Asking.of(factory, built(factory, self.context))
+            self._planner = _WatchedPlanner(asking, scenario.name, findings)
 
     before = dict(findings.breaches)
     trace = run_closed_loop(

@@ -40,7 +40,7 @@ SHARE_OFF, PLACE_OFF_M = 0.05, 0.3
 """Least errors of the start: share of the ego's speed, and its place."""
 RARE = 0.05
 RARE_IN_NOISE = 0.5
-"""A change is none where fewer S-T outlines than this share are off; with noise, of all outlines."""
+"""A change is none where fewer S-T outlines than this share are off, in noise of all outlines."""
 LEFT_OUT = 0.1
 """Agents are left out if it is this share of those that take the way soon."""
 PURE = 0.95

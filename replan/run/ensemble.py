@@ -38,8 +38,7 @@ def _turn_world(scenario: Scenario, rng: np.random.Generator) -> Scenario:
 
 def _start(scenario: Scenario, rng: np.random.Generator) -> Scenario:
     dx, dy = rng.uniform(-START_M, START_M, 2)
-    ego = scenario.ego
-    return replace(scenario, ego=replace(ego, x=ego.x + dx, y=ego.y + dy))
+    return scenario.with_ego(lambda ego: replace(ego, x=ego.x + dx, y=ego.y + dy))
 
 
 def noisy(scenario: Scenario, rng: np.random.Generator, size: float = NOISE_M) -> Scenario:

@@ -36,6 +36,7 @@ from replan.explain.input_changes import InputChange, changed, changed_context
 from replan.explain.planner_input import PlannerInput
 from replan.logs.codec import WIRE, packed
 from replan.logs.frame import Frame, PlannerContext
+from replan.logs.past import PAST_S
 from replan.logs.plan import Plan, SolverReport
 from replan.logs.scenario import Scenario
 from replan.logs.trace import Mode, PlannedFrame
@@ -49,6 +50,7 @@ from replan.replay.loop.planning import Planning
 from replan.replay.parts import PLANNER
 from replan.replay.planner_process import messages
 from replan.replay.planner_process.coordinates import built
+from replan.replay.planner_process.past_messages import ReceivedPast, SentPast
 from replan.replay.planner_process.planner_config import is_foreign, planner_part
 from replan.results.tables import write_file
 from replan.run.one_log import LOOPS
@@ -119,7 +121,7 @@ class FrameDump:
 
 def dump(path: Path, frame_dump: FrameDump) -> None:
     """Write a dump; OutputError if the file cannot be written."""
-    problems = []
+    problems, sent_past = [], SentPast(PAST_S)
     for problem, result in frame_dump.problems:
         arrays = {
             name: packed(getattr(problem, name))
@@ -135,7 +137,7 @@ def dump(path: Path, frame_dump: FrameDump) -> None:
         planner=frame_dump.planner,
         config=dict(frame_dump.config),
         context=messages.context_message(frame_dump.context),
-        frames=[messages.frame_message(frame) for frame in frame_dump.frames],
+        frames=[sent_past.message(frame) for frame in frame_dump.frames],
         plan=messages.plan_message(frame_dump.plan, inside=True),
         problems=problems,
     )
@@ -154,7 +156,7 @@ def load(path: Path) -> FrameDump:
             planner=file.planner,
             config=file.config,
             context=messages.context_of(file.context, lambda stage: None),
-            frames=tuple(map(messages.frame_of, file.frames)),
+            frames=tuple(map(ReceivedPast(PAST_S).frame, file.frames)),
             plan=messages.plan_of(file.plan),
             problems=tuple(map(_problem_of, file.problems)),
         )

@@ -6,7 +6,8 @@ future, the upper bound for better predictions. Such a drive is marked as that o
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Sequence
 from itertools import chain
 
 import numpy as np
@@ -15,14 +16,16 @@ from replan.core.arrays import FloatArray
 from replan.logs.agents import Agents
 from replan.logs.frame import Frame, Predictions, Visibility
 from replan.logs.nearby_tracks import NearbyTracks
+from replan.logs.past import PAST_S, SAME_TIME_S, Earlier, Moment, PastSource
 from replan.logs.plan import Plan
+from replan.logs.rules import Colour
 from replan.logs.scenario import Scenario
 from replan.logs.tracks import Tracks
 from replan.replay.loop_config import LoopConfig
 from replan.replay.perception.recorded_agents import MOVED, Recorded
 from replan.replay.perception.sensor import Sensor
 from replan.replay.prediction import LaneMap, predict
-from replan.replay.world import World
+from replan.replay.world import World, logged_ego
 
 ORACLE = "oracle"
 """The prediction that is the log's own future."""
@@ -90,6 +93,8 @@ class Perception:
         self._lights = scenario.lights
         self._true = shows_truth(config.perception, scenario)
         self._sight = config.part("perception").build(scenario, config)
+        self._scenario = scenario
+        self._moments: deque[Moment] = deque()
         self._shown: list[tuple[float, Agents]] = []
         self.is_oracle = config.prediction == ORACLE
         self._predictor = None if self.is_oracle else config.part("prediction").configured()
@@ -125,8 +130,27 @@ class Perception:
                 lanes=self._lanes,
                 predictor=self._predictor,
             )
-        lights = {light.id: light.at(t) for light in self._lights}
-        return Frame(t, world.ego, agents, predictions, previous, visibility, lights)
+        lights = self._colours(t)
+        while self._moments and self._moments[0].t < t - PAST_S - config.plan_period_s:
+            self._moments.popleft()
+        earlier = Earlier(tuple(self._moments), self._before)
+        self._moments.append(Moment(t, world.ego, agents, lights))
+        return Frame(t, world.ego, agents, predictions, previous, visibility, lights, earlier)
+
+    def _colours(self, t: float) -> dict[int, Colour]:
+        return {light.id: light.at(t) for light in self._lights}
+
+    def _before(self, times: Sequence[float]) -> list[Moment]:
+        """What the log shows before the drive at times that it covers, seen anew."""
+        scenario, ego = self._scenario, self._scenario.whole_ego
+        sight = self._config.part("perception").build(scenario, self._config)
+        moments = []
+        for t in times:
+            if t >= ego.t[0] - SAME_TIME_S:
+                state = logged_ego(ego, scenario.vehicle, t)
+                agents, _ = sight(World(state, scenario.tracks))
+                moments.append(Moment(t, state, agents, self._colours(t), PastSource.LOG))
+        return moments
 
     @property
     def shown(self) -> Tracks | None:

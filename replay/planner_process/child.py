@@ -24,6 +24,7 @@ from replan.replay.drive import Stopwatch
 from replan.replay.planner_process import messages
 from replan.replay.planner_process.channel import Channel, GoneError
 from replan.replay.planner_process.coordinates import context_in_map, coordinates_of
+from replan.replay.planner_process.past_messages import ReceivedPast, past_s_of
 from replan.replay.planner_process.planner_config import of_class, planner_part, prepared
 
 
@@ -80,6 +81,7 @@ class PlannerServer:
     def __init__(self, channel: Channel[Any]) -> None:
         self._channel, self._watch = channel, Stopwatch()
         self._planners: list[Planner | None] = []
+        self._pasts: list[ReceivedPast] = []
         self._together: Any = None
         self._keep = False
 
@@ -135,6 +137,7 @@ class PlannerServer:
 
     def _build_planner(self, hello: messages.Hello) -> messages.Ready:
         self._planners.append(None)
+        self._pasts.append(ReceivedPast(0.0))
         keywords = planner_part(hello.planner, hello.config).keywords()
         context = messages.context_of(hello.context, self._watch.lap)
         factory: Any = prepared(hello.planner, keywords)
@@ -142,7 +145,9 @@ class PlannerServer:
         context = context_in_map(context) if coordinates == "map" else context
         self._planners[-1] = factory(context, **keywords)
         self._together, self._keep = of_class(factory, "plan_batch"), hello.keep_internals
-        return messages.Ready(coordinates=coordinates)
+        past_s = past_s_of(factory)
+        self._pasts[-1] = ReceivedPast(past_s)
+        return messages.Ready(coordinates=coordinates, past_s=past_s)
 
     def _plan_frames(
         self,
@@ -151,10 +156,10 @@ class PlannerServer:
         sent: list[messages.Frame],
     ) -> Any:
         """The results of the planners in some seats for their frames; `plan` calls them."""
-        planners, frames = (
-            [self._planners[seat] for seat in seats],
-            [messages.frame_of(message) for message in sent],
-        )
+        planners = [self._planners[seat] for seat in seats]
+        frames = [
+            self._pasts[seat].frame(message) for seat, message in zip(seats, sent, strict=True)
+        ]
         assert None not in planners, "a frame came before the context"
         self._watch.start()
         try:

@@ -27,11 +27,13 @@ import msgspec
 
 from replan.core.errors import ConfigError, PlannerError
 from replan.logs.frame import Frame, PlannerContext
+from replan.logs.past import PAST_S
 from replan.logs.plan import Plan
 from replan.replay.drive import FIRST, DriveKey, Stopwatch
 from replan.replay.loop_config import PlannerProcessConfig
 from replan.replay.planner_process import messages
 from replan.replay.planner_process.channel import Channel, GarbageError, GoneError, LateError
+from replan.replay.planner_process.past_messages import SentPast
 from replan.replay.planner_process.planner_config import is_foreign
 from replan.replay.planner_process.processes import Load, Process, start_process
 
@@ -221,7 +223,10 @@ class ApartPlanner:
         if answer.schema != version:
             problem = f"it speaks version {answer.schema} of the messages, replan {version}"
             raise self._connection.fault(f"cannot be built: {problem}")
-        self.coordinates = answer.coordinates
+        if not 0.0 <= answer.past_s <= PAST_S:
+            problem = f"it asks for a past of {answer.past_s:g} s: at most {PAST_S:g} s"
+            raise self._connection.fault(f"cannot be built: {problem}")
+        self.coordinates, self._sent_past = answer.coordinates, SentPast(answer.past_s)
 
     def plan(self, frame: Frame) -> Plan:
         """The planner's plan; FaultError if it sends none."""
@@ -230,7 +235,7 @@ class ApartPlanner:
             limit, self._has_planned = max(limit, self._limits.start_timeout_s), True
         begin = time.monotonic()
         answer = self._connection.ask(
-            messages.frame_message(frame), limit, f"at t = {frame.t:.2f} s"
+            self._sent_past.message(frame), limit, f"at t = {frame.t:.2f} s"
         )
         broken = f"broke its contract at {frame.t:.2f} s"
         if isinstance(answer, messages.Failed):

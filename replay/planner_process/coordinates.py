@@ -98,6 +98,7 @@ def frame_in_map(frame: Frame, origin: Offset) -> Frame:
         predictions=_moved(frame.predictions, origin),
         previous=frame.previous and _moved_plan(frame.previous, origin),
         visibility=seen,
+        earlier=replace(frame.earlier, offset=origin),
     )
 
 

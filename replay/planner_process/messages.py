@@ -19,12 +19,12 @@ because some of their fields are not sent.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import msgspec
 
-from replan.logs import agents, frame, plan as nouns, states
+from replan.logs import agents, frame, past, plan as nouns, states
 from replan.logs.agents import AgentKind
 from replan.logs.codec import (
     Column,
@@ -37,6 +37,7 @@ from replan.logs.codec import (
 )
 from replan.logs.mcap import plan_messages
 from replan.logs.mcap.trace_file import artefacts_of, inside_of
+from replan.logs.past import PastSource
 from replan.logs.road import Goal, Lane
 from replan.logs.rules import Colour, Crosswalk, StopLine
 from replan.logs.states import TRAJECTORY_COLUMNS, EgoState
@@ -200,9 +201,21 @@ class Plan(msgspec.Struct, tag="plan", omit_defaults=True):
     inside: Inside | None = None
 
 
-class Frame(msgspec.Struct, tag="frame"):
+class Moment(msgspec.Struct):
+    """`replan.logs.past.Moment`: what was known at an earlier time; `source` is "log" or "held"
+    before the first frame of the drive.
+    """
+
+    t: float
+    ego: EgoState
+    agents: Agents
+    lights: list[Light]
+    source: PastSource
+
+
+class Frame(msgspec.Struct, tag="frame", omit_defaults=True):
     """`replan.logs.frame.Frame`: answered by `Plan`; `previous` is the plan being driven, without
-    its internals.
+    its internals. `earlier`: moments of the past that were not sent yet, to planners that ask.
     """
 
     t: float
@@ -212,6 +225,7 @@ class Frame(msgspec.Struct, tag="frame"):
     previous: Plan | None
     visibility: frame.Visibility | None
     lights: list[Light]
+    earlier: list[Moment] = []
 
 
 class Ready(msgspec.Struct, tag="ready"):
@@ -221,10 +235,12 @@ class Ready(msgspec.Struct, tag="ready"):
         schema: The version of the messages that it speaks.
         coordinates: Those of the frames that it gets from now on, and of its plans: "world" or
             "map".
+        past_s: Length of the past that it asks for, s, at most 2.1: frames then have `earlier`.
     """
 
     schema: int = SCHEMA_VERSION
     coordinates: Coordinates = "world"
+    past_s: float = 0.0
 
 
 class Described(msgspec.Struct, tag="described"):
@@ -314,7 +330,28 @@ def frame_message(now: frame.Frame) -> Frame:
         predictions=message_of(Predictions, now.predictions),
         previous=None if now.previous is None else plan_message(now.previous),
         visibility=now.visibility,
-        lights=[Light(light, colour) for light, colour in now.lights.items()],
+        lights=_light_messages(now.lights),
+    )
+
+
+def _light_messages(lights: Mapping[int, Colour]) -> list[Light]:
+    return [Light(light, colour) for light, colour in lights.items()]
+
+
+def moment_message(moment: past.Moment) -> Moment:
+    """The message of a moment."""
+    agents_then, lights = message_of(Agents, moment.agents), _light_messages(moment.lights)
+    return Moment(moment.t, moment.ego, agents_then, lights, moment.source)
+
+
+def moment_of(message: Moment) -> past.Moment:
+    """The moment of a message."""
+    return past.Moment(
+        message.t,
+        message.ego,
+        noun_of(agents.Agents, message.agents),
+        {light.id: light.colour for light in message.lights},
+        message.source,
     )
 
 

@@ -32,8 +32,8 @@ from replan.logs.rules import Crosswalk
 LANE_TYPES = ("undefined", "freeway", "surface_street", "bike_lane", "bus_lane")
 """Types of lanes; the index is their number."""
 NOT_DRIVABLE = ("bike_lane", "bus_lane")
+# First version with correct predecessors and successors of nuPlan's lanes inside junctions
 CONNECTORS_RIGHT = (0, 5)
-"""First version with correct predecessors and successors of nuPlan's lanes inside junctions."""
 KEEPS_LEFT = ("sg-", "singapore")
 """How the names of places begin where traffic drives on the left."""
 

@@ -34,10 +34,8 @@ MARKS = (
     "SOLID_BLUE",
 )
 """Types of road lines; the index is their number."""
-MARK_M = 0.35
-"""Largest distance of a boundary from the road lines that mark it, m."""
-STEP_M = 0.5
-"""Distance of the points at which boundaries and road lines are compared, m."""
+MARK_M = 0.35  # Largest distance of a boundary from the road lines that mark it, m
+STEP_M = 0.5  # Distance of the points at which boundaries and road lines are compared, m
 Side = tuple[int, str]
 """The boundary of a lane: its id, and "left" or "right"."""
 

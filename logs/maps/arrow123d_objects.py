@@ -23,8 +23,7 @@ from replan.logs.maps.strips import LARGEST_M
 LANE, LANE_GROUP = 0, 1
 CROSSWALK, CAR_PARK, DRIVABLE = 3, 5, 6
 STOP_ZONE, ROAD_LINE = 7, 9
-REACH_M = 300.0
-"""Lanes up to this distance around the requested places are read, m."""
+REACH_M = 300.0  # Lanes up to this distance around the requested places are read, m
 
 
 class MapObject(NamedTuple):

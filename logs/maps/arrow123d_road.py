@@ -31,10 +31,9 @@ from replan.logs.states import Trajectory
 
 LIGHTS = "traffic_light_detections"
 SCENARIO = "custom.scenario.arrow"
+# Colours of a light; the index is the number of its status
 COLOURS = (Colour.GREEN, Colour.YELLOW, Colour.RED, Colour.OFF)
-"""Colours of a light; the index is the number of its status."""
-UP = 6
-"""Number of folders above a log in which the maps of places are searched."""
+UP = 6  # Number of folders above a log in which the maps of places are searched
 
 
 def road_of(

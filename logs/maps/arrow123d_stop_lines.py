@@ -26,8 +26,8 @@ from replan.logs.rules import StopLine, TrafficLight
 
 ZONE_LIGHT, ZONE_STOP = 1, 2
 """Types of stop zones: of a traffic light, and where all must stop."""
+# Distance of the points of a centre line of which it is known whether they lie in a zone, m
 STEP_M = 0.5
-"""Distance of the points of a centre line of which it is known whether they lie in a zone, m."""
 
 
 class Place(NamedTuple):

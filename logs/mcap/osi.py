@@ -47,8 +47,7 @@ VEHICLES = {"TYPE_DELIVERY_VAN": AgentKind.TRUCK, "TYPE_STANDUP_SCOOTER": AgentK
 """Vehicles whose word means another kind in OSI than elsewhere; others are those of
 `replan.logs.kind_words`.
 """
-MOST_NAMED = 20
-"""Greatest number of objects that an error message lists."""
+MOST_NAMED = 20  # Greatest number of objects that an error message lists
 POSITION = slice(X, YAW)
 NOT_IN_THE_WAY = {"TYPE_BRIDGE", "TYPE_OVERHEAD_STRUCTURE", "TYPE_SPEED_BUMP", "TYPE_CURBSTONE"}
 

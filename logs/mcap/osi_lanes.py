@@ -21,16 +21,12 @@ from replan.logs.mcap.osi_frames import OsiMap, enum_name
 from replan.logs.polylines import paired
 from replan.logs.road import Lane
 
-HALF_WIDTH_M = 1.75
-"""Half the width of a lane with nothing but a centre line, m."""
-MAX_GAP_M = 3.0
-"""Largest distance from the end of a lane to the begin of its successor, m."""
+HALF_WIDTH_M = 1.75  # Half the width of a lane with nothing but a centre line, m
+MAX_GAP_M = 3.0  # Largest distance from the end of a lane to the begin of its successor, m
+# Least distance of the centre lines of adjacent lanes; half of it for lanes with boundaries, m
 NEAREST_M = 2.0
-"""Least distance of the centre lines of adjacent lanes; half of it for lanes with boundaries, m."""
-FARTHEST_M = 6.0
-"""Largest distance of the centre lines of adjacent lanes, m."""
-SAME_POINT_M = 1e-6
-"""Points of a line that are nearer to each other are one, m."""
+FARTHEST_M = 6.0  # Largest distance of the centre lines of adjacent lanes, m
+SAME_POINT_M = 1e-6  # Points of a line that are nearer to each other are one, m
 NOT_DRIVEN = {"unknown", "other", "sidewalk", "biking", "border", "curb", "median", "parking"}
 CROSSABLE = {"TYPE_UNKNOWN", "TYPE_OTHER", "TYPE_NO_LINE", "TYPE_DASHED_LINE", "TYPE_BOTTS_DOTS"}
 

@@ -42,7 +42,7 @@ from replan.logs.readers import LogSettings
 from replan.logs.scenario import Scenario
 from replan.replay.loop.open_loop import run_open_loop
 from replan.replay.parts import PLANNER
-from replan.replay.planner_process.connection import in_lockstep
+from replan.replay.planner_process.lockstep import in_lockstep
 from replan.replay.planner_process.processes import set_template_run
 from replan.results.log_result import Failure, LogResult, Stamp
 from replan.results.tables import clear_partial, write_text

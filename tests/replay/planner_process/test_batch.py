@@ -22,7 +22,7 @@ from replan.logs.states import TRAJECTORY_COLUMNS, Trajectory
 from replan.logs.trace import EndReason
 from replan.replay.drive import Mark
 from replan.replay.loop_config import LoopConfig, PlannerProcessConfig
-from replan.replay.planner_process.connection import in_lockstep
+from replan.replay.planner_process.lockstep import in_lockstep
 from replan.run import evaluate_logs
 from replan.run.evaluate import teams_of
 

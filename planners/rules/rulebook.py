@@ -45,16 +45,14 @@ from replan.logs.vehicle import VehicleParameters
 from replan.planners.frenet.profiles import HORIZON_KNOTS, STEP_S, braking, cruising, limit_profile
 from replan.planners.frenet.reference_path import ReferencePath
 from replan.planners.frenet.scene import Occupancy, Scene
+from replan.planners.rules.zone_times import ASKEW_RAD, ZoneTime, windows
 from replan.planners.rules.zones import (
-    ASKEW_RAD,
     ROOM_M,
     Priority,
     StopLineAhead,
     Walk,
     Zone,
-    ZoneTime,
     lines_along,
-    windows,
     zones_along,
 )
 

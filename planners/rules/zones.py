@@ -1,5 +1,5 @@
-"""The rules of the road along one reference: its stop lines, the zones where other road users go
-first, and when.
+"""The rules of the road along one reference: its stop lines, and the zones where other road users
+go first (when they do so: zone_times.py).
 
 A zone is the stretch of the reference line on which the ego's body would obstruct road users with
 priority:
@@ -10,47 +10,27 @@ priority:
                      `SIDE_M` to the middle of a lane that the ego's lane yields to
 
 The ego waits before the first of several zones if it does not fit between them, and so not on a
-crosswalk nor where lanes cross. Agents take a zone in time windows, which follow from their
-positions and predictions.
-
-Crosswalk: a pedestrian who is on it, or within `EDGE_M` of it and walks towards it, takes it while
-one of their hypotheses is in the ego's half, widened by `KEPT_M` on each side. A pedestrian who
-stands there takes it for an unknown
-time: from when a hypothesis enters it, else as if they started now with `START_MPS` in the
-direction that they face.
-
-Priority lane: a vehicle on it or on a lane that leads to it, in its direction, takes the zone
-
-(3) while the box of a hypothesis touches the zone, if all that do so have a probability of
-    `UNLIKELY` together
-(4) on the priority lane itself also from (p_in - front) / v to (p_out - rear) / v: it may be
-    predicted to leave the lane, but stay on it; one that stands in the zone takes it until it has
-    left
-
-A vehicle that a red light holds on its way there takes no zone.
+crosswalk nor where lanes cross.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from math import hypot, inf
+from math import hypot
 
 import numpy as np
 
-from replan.core.arrays import BoolArray, FloatArray, arc_lengths
+from replan.core.arrays import FloatArray, arc_lengths
 from replan.core.kernel import kernel
-from replan.logs.agents import AgentKind
-from replan.logs.frame import Frame
 from replan.logs.polylines import inside
-from replan.logs.reference_line import ReferenceLine, line_project_many
+from replan.logs.reference_line import ReferenceLine
 from replan.logs.road import Lane, Road, predecessors
-from replan.logs.rules import RED, Crosswalk, StopLine
-from replan.logs.shapes import overlap, point_segment
+from replan.logs.rules import Crosswalk, StopLine
+from replan.logs.shapes import point_segment
 from replan.logs.states import wrap
 from replan.logs.vehicle import VehicleParameters
 from replan.planners.frenet.reference_path import ReferencePath
-from replan.planners.frenet.scene import STANDING_MPS, UNLIKELY
 
 SIDE_M = 0.3  # Space beside the ego's body in (1) and (2), m
 HALF_CAR_M = 1.0  # Half the width of agents that go first in (2), m
@@ -63,14 +43,6 @@ LINE_BEFORE_M = 15.0
 FEED_M = 100.0
 ASIDE_M = 1.0  # A stop line applies where the reference line runs within this of it, m
 MERGED_M = 1.5  # Two lanes whose ends are nearer than this merge, m
-EDGE_M = 1.5  # A pedestrian who stands within this of a crosswalk may want to cross, m
-# A pedestrian whose distance to it falls faster than this walks towards it; a slower one stands,
-# m/s
-TOWARDS_MPS = 0.3
-KEPT_M = 0.3  # Width by which the ego's half of a crosswalk is extended on each side, m
-# Speed with which a standing pedestrian sets off, m/s: that of the clearing times in RiLSA 2010
-START_MPS = 1.2
-ASKEW_RAD = 1.0  # A vehicle drives along a lane where its heading differs less than this, rad
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,28 +68,42 @@ class Walk:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Priority:
-    """A lane whose vehicles go first."""
+    """A lane whose vehicles go first.
+
+    Attributes:
+        lane: The lane.
+        feeds: Lanes that lead to it, itself included, each with the lights that hold its vehicles.
+        p_in: Station on its centre line where the zone begins, m.
+        p_out: Station where it ends, m.
+        boxes: The zone as boxes along the reference line: x, y, yaw, length, width `(k, 5)`.
+        merges: Whether it ends where the ego's lane ends.
+    """
 
     lane: Lane
-    # Lanes that lead to it, itself included, each with the lights that hold its vehicles
     feeds: Mapping[int, tuple[int, ...]]
-    p_in: float  # Station on its centre line where the zone begins, m; `p_out` where it ends
+    p_in: float
     p_out: float
-    # The zone as boxes along the reference line: x, y, yaw, length, width `(k, 5)`
     boxes: FloatArray
-    merges: bool  # Whether it ends where the ego's lane ends
+    merges: bool
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Zone:
-    """A stretch in which others may go first."""
+    """A stretch in which others may go first.
 
-    name: str  # Its name in reasons ("crosswalk 3", "lane 17")
-    by: Walk | Priority  # The crosswalk or lane whose users go first
-    s_in: float  # Station at which the front enters it, m; `s_out` at which the rear leaves it
+    Attributes:
+        name: Its name in reasons ("crosswalk 3", "lane 17").
+        by: The crosswalk or lane whose users go first.
+        s_in: Station at which the front enters it, m.
+        s_out: Station at which the rear leaves it, m.
+        holds: Stations that the front does not pass while it waits, in driving order, m; the first
+            one ahead applies.
+    """
+
+    name: str
+    by: Walk | Priority
+    s_in: float
     s_out: float
-    # Stations that the front does not pass while it waits, in driving order; the first one ahead
-    # applies
     holds: tuple[float, ...] = ()
 
 
@@ -144,29 +130,9 @@ def zones_along(
     These are the stop lines before the group of zones, the begin of the group, and that of the
     zone.
     """
-    line, half, zones = reference.line, 0.5 * vehicle.width + SIDE_M, list[Zone]()
-    for crosswalk in road.crosswalks:
-        polygon = crosswalk.polygon
-        low, high = polygon.min(axis=0) - half - 1.0, polygon.max(axis=0) + half + 1.0
-        close = np.flatnonzero(((line.xy >= low) & (line.xy <= high)).all(axis=1))
-        if not len(close):
-            continue
-        s = np.arange(float(line.s[close[0]]) - 1.0, float(line.s[close[-1]]) + 1.0, 0.5 * STEP_M)
-        x, y, yaw, _ = np.array([line.frame(station_m) for station_m in s]).T
-        in_box = (low[0] <= x) & (x <= high[0]) & (low[1] <= y) & (y <= high[1])
-        c, d = np.cos(yaw), np.sin(yaw)
-        over = [
-            s[k]
-            for k in np.flatnonzero(in_box)
-            if any(
-                inside(x[k] - l * d[k], y[k] + l * c[k], polygon) for l in (0.0, half, -half)
-            )  # (1)
-        ]
-        if over:
-            middle = 0.5 * (over[0] + over[-1])
-            edges = reference.lane_right, reference.lane_left
-            walk = Walk(crosswalk, *(float(np.interp(middle, line.s, edge)) for edge in edges))
-            zones.append(Zone(f"crosswalk {crosswalk.id}", walk, float(over[0]), float(over[-1])))
+    line = reference.line
+    crossed = (_crosswalk_zone(crosswalk, reference, vehicle) for crosswalk in road.crosswalks)
+    zones = [zone for zone in crossed if zone is not None]
     zones += _priorities(road, reference, vehicle)
     if not zones:
         return ()
@@ -183,6 +149,35 @@ def zones_along(
         lines = [s for s in waiting if begin - LINE_BEFORE_M < s <= begin]
         held.append(replace(zone, holds=tuple(sorted({*lines, begin, zone.s_in}))))
     return tuple(held)
+
+
+def _crosswalk_zone(
+    crosswalk: Crosswalk, reference: ReferencePath, vehicle: VehicleParameters
+) -> Zone | None:
+    """The zone (1) of a crosswalk; None where the reference path does not cross it."""
+    line, half, polygon = reference.line, 0.5 * vehicle.width + SIDE_M, crosswalk.polygon
+    low, high = polygon.min(axis=0) - half - 1.0, polygon.max(axis=0) + half + 1.0
+    close = line.s[((line.xy >= low) & (line.xy <= high)).all(axis=1)]
+    if not len(close):
+        return None
+    s = np.arange(float(close[0]) - 1.0, float(close[-1]) + 1.0, 0.5 * STEP_M)
+    x, y, yaw, _ = np.array([line.frame(station_m) for station_m in s]).T
+    in_box = (low[0] <= x) & (x <= high[0]) & (low[1] <= y) & (y <= high[1])
+    to_left_x, to_left_y = -np.sin(yaw), np.cos(yaw)
+    over = [
+        s[k]
+        for k in np.flatnonzero(in_box)
+        if any(
+            inside(x[k] + l * to_left_x[k], y[k] + l * to_left_y[k], polygon)
+            for l in (0.0, half, -half)
+        )
+    ]
+    if not over:
+        return None
+    middle = 0.5 * (over[0] + over[-1])
+    edges = reference.lane_right, reference.lane_left
+    walk = Walk(crosswalk, *(float(np.interp(middle, line.s, edge)) for edge in edges))
+    return Zone(f"crosswalk {crosswalk.id}", walk, float(over[0]), float(over[-1]))
 
 
 def _marks(road: Road, lanes: tuple[int, ...]) -> Iterator[StopLine]:
@@ -235,10 +230,8 @@ def _priorities(road: Road, reference: ReferencePath, vehicle: VehicleParameters
         p_in, p_out = min(old.by.p_in, zone.by.p_in), max(old.by.p_out, zone.by.p_out)
         boxes, merges = np.vstack([old.by.boxes, zone.by.boxes]), old.by.merges or zone.by.merges
         by = replace(old.by, p_in=p_in, p_out=p_out, boxes=boxes, merges=merges)
-        merged = replace(
-            old, by=by, s_in=min(old.s_in, zone.s_in), s_out=max(old.s_out, zone.s_out)
-        )
-        zones[zones.index(old)] = merged
+        s_in, s_out = min(old.s_in, zone.s_in), max(old.s_out, zone.s_out)
+        zones[zones.index(old)] = replace(old, by=by, s_in=s_in, s_out=s_out)
     return zones
 
 
@@ -334,180 +327,3 @@ def distances(points: FloatArray, line: FloatArray) -> FloatArray:
                 point_segment(x, y, line[k - 1, 0], line[k - 1, 1], line[k, 0], line[k, 1]),
             )
     return nearest
-
-
-@dataclass(frozen=True, slots=True)
-class ZoneTime:
-    """An agent takes a zone from `begin` to `end`, s after the frame's time.
-
-    Inf: the end is not known.
-    """
-
-    begin: float
-    end: float
-    agent: int  # Index into the frame's agents; `speed` of it, m/s
-    speed: float
-    # Whether it is a pedestrian who stands at the crosswalk and may begin to cross
-    waits: bool = False
-
-
-def windows(zone: Zone, line: ReferenceLine, road: Road, frame: Frame) -> tuple[ZoneTime, ...]:
-    """The windows in which agents take a zone, in order of their begin."""
-    spans = (
-        _walking(zone, zone.by, line, frame)
-        if isinstance(zone.by, Walk)
-        else _driving(zone.by, road, frame)
-    )
-    return tuple(sorted(spans, key=lambda window: (window.begin, window.end, window.agent)))
-
-
-def _walking(zone: Zone, walk: Walk, line: ReferenceLine, frame: Frame) -> Iterator[ZoneTime]:
-    """Windows of the pedestrians who are on a crosswalk, or near it and do not walk along or away
-    from it.
-    """
-    futures, agents = frame.predictions, frame.agents
-    polygon, ahead = walk.crosswalk.polygon, frame.predictions.t - frame.t
-    low, high = polygon.min(axis=0) - EDGE_M, polygon.max(axis=0) + EDGE_M
-    near = (agents.x > low[0]) & (agents.x < high[0]) & (agents.y > low[1]) & (agents.y < high[1])
-    edge = np.vstack([polygon, polygon[:1]])
-    for i in np.flatnonzero(near).tolist():
-        if agents.kinds[i] is not AgentKind.PEDESTRIAN:
-            continue
-        x, y, stands = float(agents.x[i]), float(agents.y[i]), agents.speed[i] < TOWARDS_MPS
-        now, soon = distances(
-            np.array([[x, y], [x + 0.1 * agents.vx[i], y + 0.1 * agents.vy[i]]]), edge
-        )
-        comes = now - soon > 0.1 * TOWARDS_MPS or stands
-        if not (inside(x, y, polygon) or (now < EDGE_M and comes)):
-            continue
-        rows, yaw, walked = np.flatnonzero(futures.agent == i), agents.yaw[i], START_MPS * ahead
-        spans = [
-            window
-            for row in rows
-            for window in _span(
-                _on_half(zone, walk, line, futures.x[row], futures.y[row]), ahead, i, frame
-            )
-        ]
-        if stands and not spans:
-            taken = _on_half(
-                zone,
-                walk,
-                line,
-                agents.x[i] + walked * np.cos(yaw),
-                agents.y[i] + walked * np.sin(yaw),
-            )
-            spans = list(_span(taken, ahead, i, frame))
-        yield from (replace(window, end=inf, waits=True) if stands else window for window in spans)
-
-
-def _on_half(
-    zone: Zone, walk: Walk, line: ReferenceLine, x: FloatArray, y: FloatArray
-) -> BoolArray:
-    """Which points `(k,)` of a way lie on the ego's half of a crosswalk."""
-    frenet = line_project_many(line.s, line.coef, x, y, zone.s_in, 30.0)
-    s, l = frenet[:, 0], frenet[:, 1]
-    along = (s > zone.s_in - EDGE_M) & (s < zone.s_out + EDGE_M)
-    return np.asarray(along & (l > walk.right - KEPT_M) & (l < walk.left + KEPT_M))
-
-
-def _driving(priority: Priority, road: Road, frame: Frame) -> Iterator[ZoneTime]:
-    """Windows of the vehicles that may take the zone, by the lane that they are on.
-
-    The priority lane comes first.
-    """
-    agents, futures = frame.agents, frame.predictions
-    taken: set[int] = set()
-    for lane_id, lights in priority.feeds.items():
-        if any(frame.lights.get(light) in RED for light in lights):
-            continue
-        lane = road.lanes[lane_id]
-        low, high = lane.polygon.min(axis=0), lane.polygon.max(axis=0)
-        near = (
-            (agents.x >= low[0])
-            & (agents.x <= high[0])
-            & (agents.y >= low[1])
-            & (agents.y <= high[1])
-        )
-        for i in np.flatnonzero(near).tolist():
-            x, y = float(agents.x[i]), float(agents.y[i])
-            drives = agents.kinds[i] not in (AgentKind.PEDESTRIAN, AgentKind.OBJECT)
-            if i in taken or not drives or not inside(x, y, lane.polygon):
-                continue
-            if turned(lane, x, y, float(agents.yaw[i])) >= ASKEW_RAD:
-                continue
-            taken.add(i)
-            if lane_id == priority.lane.id:
-                yield from _passage(priority, i, frame)
-            rows, size = (
-                np.flatnonzero(futures.agent == i),
-                np.array([agents.length[i], agents.width[i]]),
-            )
-            touches = _boxes_touched(
-                priority.boxes, futures.x[rows], futures.y[rows], futures.yaw[rows], size
-            )
-            if futures.probability[rows][touches.any(axis=1)].sum() >= UNLIKELY:  # (3)
-                for touched in touches:
-                    yield from _span(touched, futures.t - frame.t, i, frame)
-
-
-def _passage(priority: Priority, i: int, frame: Frame) -> Iterator[ZoneTime]:
-    """The window (4) of a vehicle on the priority lane."""
-    agents, center = frame.agents, priority.lane.center
-    x, y, step = float(agents.x[i]), float(agents.y[i]), np.diff(center, axis=0)
-    length = np.hypot(*step.T)
-    u = ((x - center[:-1, 0]) * step[:, 0] + (y - center[:-1, 1]) * step[:, 1]) / np.maximum(
-        length, 1e-9
-    ) ** 2
-    u = np.clip(u, 0.0, 1.0)
-    away = np.hypot(center[:-1, 0] + u * step[:, 0] - x, center[:-1, 1] + u * step[:, 1] - y)
-    k = int(np.argmin(away))
-    p = float(length[:k].sum() + u[k] * length[k])  # along the lane, to the point nearest to it
-    v, half = float(agents.speed[i]), 0.5 * float(agents.length[i])
-    if p - half > priority.p_out:
-        return
-    if v >= STANDING_MPS:
-        # (4)
-        yield ZoneTime(
-            max(priority.p_in - p - half, 0.0) / v, (priority.p_out - p + half) / v, i, v
-        )
-    elif p + half > priority.p_in:
-        yield ZoneTime(0.0, inf, i, v)
-
-
-def _span(taken: BoolArray, ahead: FloatArray, i: int, frame: Frame) -> Iterator[ZoneTime]:
-    """The window from the first to the last taken time.
-
-    It has no end if that is the last time of the predictions.
-    """
-    samples = np.flatnonzero(taken)
-    if len(samples):
-        end = inf if samples[-1] == len(ahead) - 1 else float(ahead[samples[-1]])
-        yield ZoneTime(float(ahead[samples[0]]), end, i, float(frame.agents.speed[i]))
-
-
-@kernel
-def _boxes_touched(
-    boxes: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, size: FloatArray
-) -> BoolArray:
-    """Which boxes at `(n, k)` poses of one size (length, width) overlap any of the `boxes`
-    `(m, 5)`.
-    """
-    touched = np.zeros(x.shape, np.bool_)
-    for i in range(x.shape[0]):
-        for k in range(x.shape[1]):
-            for j in range(len(boxes)):
-                if overlap(
-                    boxes[j, 0],
-                    boxes[j, 1],
-                    boxes[j, 2],
-                    boxes[j, 3],
-                    boxes[j, 4],
-                    x[i, k],
-                    y[i, k],
-                    yaw[i, k],
-                    size[0],
-                    size[1],
-                ):
-                    touched[i, k] = True
-                    break
-    return touched

@@ -58,7 +58,7 @@ from replan.planners.dp_qp.path.passing import NEAR_M, PassTarget
 from replan.planners.frenet.path import Path
 from replan.planners.frenet.scene import Occupancy, Scene, open_end
 from replan.planners.frenet.st_boundaries import StBoundaries
-from replan.planners.rules.zones import TOWARDS_MPS
+from replan.planners.rules.zone_times import TOWARDS_MPS
 
 WORTH_MPS = 0.5  # A cap is reported as a decision where it lowers the limit by more than this, m/s
 # T, s, until the ego brakes: a frame, the sensor's latency, the brake's dead time and lag

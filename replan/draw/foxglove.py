@@ -132,10 +132,12 @@ def _agents(scenario: Scenario) -> Iterator[Entry]:
 def _ego(scenario: Scenario) -> Iterator[Entry]:
     """The ego's poses, and once its box, which is bound to them."""
     start, ego, vehicle = scenario.start_ns, scenario.ego, scenario.vehicle
-    kept = np.isin(ego.t, _thin_times(ego.t))
-    states = zip(ego.x[kept].tolist(), ego.y[kept].tolist(), ego.yaw[kept].tolist(), strict=True)
+    thinned = np.isin(ego.t, _thin_times(ego.t))
+    states = zip(
+        ego.x[thinned].tolist(), ego.y[thinned].tolist(), ego.yaw[thinned].tolist(), strict=True
+    )
     for time, (x, y, yaw) in zip(
-        log_times(ego.t[kept], start, "/foxglove/tf"), states, strict=True
+        log_times(ego.t[thinned], start, "/foxglove/tf"), states, strict=True
     ):
         pose = FrameTransform(
             timestamp=_stamp(time),
@@ -254,9 +256,9 @@ def _plans(topic: str, plans: Sequence[tuple[float, Trajectory]], start: int) ->
     """Plans at the times at which they were known, thinned by `kept_samples`."""
     times = log_times(np.array([known for known, _ in plans]), start, topic)
     for time, (_, plan) in zip(times, plans, strict=True):
-        kept = kept_samples(plan.t)
+        rows = kept_samples(plan.t)
         states = zip(
-            plan.x[kept].tolist(), plan.y[kept].tolist(), plan.yaw[kept].tolist(), strict=True
+            plan.x[rows].tolist(), plan.y[rows].tolist(), plan.yaw[rows].tolist(), strict=True
         )
         poses = [_pose(x, y, yaw, 0.0) for x, y, yaw in states]
         yield time, topic, PosesInFrame(timestamp=_stamp(time), frame_id=MAP, poses=poses)
@@ -266,11 +268,11 @@ def _thin_times(t: FloatArray) -> FloatArray:
     """Thin increasing times: keep the first one, and each that is at least `STEP_S` after the last
     kept one.
     """
-    kept = [-np.inf]
+    times = [-np.inf]
     for time in t.tolist():
-        if time >= kept[-1] + STEP_S - 1e-9:
-            kept.append(time)
-    return np.array(kept[1:])
+        if time >= times[-1] + STEP_S - 1e-9:
+            times.append(time)
+    return np.array(times[1:])
 
 
 def _scene(time: int, entities: Iterable[SceneEntity]) -> SceneUpdate:

@@ -181,9 +181,9 @@ def choose_pair(one: Path, two: Path, found: list[Path], others: list[Path]) -> 
     if not both:
         raise ConfigError(f"{one} and {two} have no recording in common")
     if len(both) > 1:
-        some = ", ".join(str(file) for file in both[:4])
+        files = ", ".join(str(file) for file in both[:4])
         raise ConfigError(
-            f"{len(both)} recordings are in both ({some} ...): name a drive with --log, --planner "
+            f"{len(both)} recordings are in both ({files} ...): name a drive with --log, --planner "
             "and --mode"
         )
     return first[both[0]], second[both[0]]

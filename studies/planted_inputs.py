@@ -355,20 +355,26 @@ def answer(fault: Fault, result: Attribution) -> str:
     return "wrong" if result.best or result.settings or not result.cause else "open"
 
 
-def row(name: str, out: Path, baseline: Results, workers: int) -> dict[str, Any]:
-    """What came of a fault."""
-    fault = FAULTS[name]
-    spec = "dp_qp" if fault.run else NAME
-    table = {"planners": [spec], "mode": "closed", "recording": False, **fault.run}
-    table["loop"] = {**fault.run.get("loop", {}), "apart": {"trust": True}}
+def driven(name: str, out: Path, workers: int, suite: str | None = None) -> Results:
+    """The run of a fault, or of `dp_qp` as it is, into the folder of this name."""
+    fault = FAULTS.get(name)
+    changes = fault.run if fault else {}
+    spec = NAME if fault and not changes else "dp_qp"
+    table = {"planners": [spec], "mode": "closed", "recording": False, **changes}
+    if fault:
+        table["loop"] = {**changes.get("loop", {}), "apart": {"trust": True}}
     if spec == NAME:
         table["planner"] = {NAME: {"fault": name}}
-    faulty = evaluate_logs(run=load_run(None, table), out=out / name, workers=workers)
+    return evaluate_logs(run=load_run(None, table), out=out / name, suite=suite, workers=workers)
+
+
+def row(name: str, faulty: Results, baseline: Results) -> dict[str, Any]:
+    """What came of a fault."""
     begin = perf_counter()
     result = attribute(Pair.of(faulty, baseline))
     return {
         "fault": name,
-        "answer": answer(fault, result),
+        "answer": answer(FAULTS[name], result),
         "seconds": round(perf_counter() - begin, 1),
         "said": " ".join(result.lines()),
     }
@@ -381,11 +387,10 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--only", nargs="+", choices=list(FAULTS), default=list(FAULTS))
     parser.add_argument("--workers", type=int, default=1)
     options = parser.parse_args(words)
-    run = load_run(None, {"planners": ["dp_qp"], "mode": "closed", "recording": False})
-    baseline = evaluate_logs(run=run, out=options.out / "baseline", workers=options.workers)
+    baseline = driven("baseline", options.out, options.workers)
     rows = []
     for name in options.only:
-        rows.append(row(name, options.out, baseline, options.workers))
+        rows.append(row(name, driven(name, options.out, options.workers), baseline))
         sys.stdout.write(f"{rows[-1]}\n")
         sys.stdout.flush()
         pd.DataFrame(rows).to_csv(options.out / "planted_inputs.csv", index=False)

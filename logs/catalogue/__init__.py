@@ -2,7 +2,8 @@
 of their cells.
 
 There is one order of all cells; a suite is a prefix of it, so that a smaller suite is part of a
-larger one. The k-th cell, from 0, of a family with n cells has the position
+larger one; the group `separating` is a suite of its own. The k-th cell, from 0, of a family with n
+cells has the position
 
 (1) k / sqrt(n)
 
@@ -35,6 +36,7 @@ from replan.logs.catalogue import (
     paper,
     pedestrians,
     raw,
+    separating,
     unece_r157,
 )
 from replan.logs.catalogue.family import Family
@@ -65,6 +67,7 @@ FAMILIES: dict[str, Family] = CATALOGUE | {
         *iso3888.FAMILIES,
         *faults.FAMILIES,
         *raw.FAMILIES,
+        *separating.FAMILIES,
     )
 }
 """All built-in families: those of `CATALOGUE` and those with published grids."""
@@ -75,6 +78,8 @@ FAMILY: ExtensionKind[Family] = ExtensionKind(
 
 
 SEED = 1
+SEPARATING = "separating"
+"""A group of families that is a suite of its own, and no part of the others."""
 
 
 @dataclass(frozen=True)
@@ -89,6 +94,7 @@ SUITES: Mapping[str, Suite] = {
     "smoke": Suite(20, "some of every group: does it run"),
     "full": Suite(300, "every family, the corners of its grid first: before a release"),
     "nightly": Suite(3000, "the grids: at night"),
+    SEPARATING: Suite(26, "tells planners with faults in their input from those without"),
 }
 
 
@@ -149,7 +155,7 @@ def suite(name: str, seed: int = SEED) -> tuple[str, ...]:
     Raises:
         ConfigError: No suite, family or group has this name.
     """
-    if name in SUITES:
+    if name in SUITES and name != SEPARATING:
         return tuple(islice(ordered(seed), SUITES[name].size))
     if ":" in name:
         own = FAMILY.find(name)
@@ -170,9 +176,12 @@ def groups() -> dict[str, list[Family]]:
 
 
 def ordered(seed: int = SEED) -> Iterator[str]:
-    """All cells of all families in the order of the module docstring, as names."""
+    """All cells of all families in the order of the module docstring, as names; without
+    `SEPARATING`.
+    """
+    in_order = [group for name, group in groups().items() if name != SEPARATING]
     turns = zip_longest(
-        *(sorted(group, key=lambda family: _draw(seed, family.name)) for group in groups().values())
+        *(sorted(group, key=lambda family: _draw(seed, family.name)) for group in in_order)
     )
     in_turn = [family for family in chain.from_iterable(turns) if family is not None]
 

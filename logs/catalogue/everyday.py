@@ -48,7 +48,7 @@ from replan.logs.catalogue.roads import (
     LANE_WIDTH_M,
     curve,
     junction,
-    lane_beside,
+    lanes_to_stop_lines,
     left_turn,
     one_lane,
     opposite,
@@ -57,8 +57,7 @@ from replan.logs.catalogue.roads import (
     weaving,
 )
 from replan.logs.plan import DecisionKind
-from replan.logs.road import Road
-from replan.logs.rules import Colour, Crosswalk, StopLine, TrafficLight
+from replan.logs.rules import Colour, Crosswalk, TrafficLight
 from replan.logs.scenario import Scenario
 from replan.logs.vehicle import VehicleParameters
 
@@ -276,17 +275,9 @@ def _at_light(p: Mapping[str, float], changes: Sequence[tuple[float, Colour]]) -
 
     path = straight_path(v, duration)
     driven = drive(path, speed=v, duration=duration, ahead=ahead)
-    before, behind = (
-        replace(lane_beside(part, i, speed_limit=v), successors=after)
-        for i, part, after in (
-            (1, path.part(0.0, line), (2,)),
-            (2, path.part(line, path.length), ()),
-        )
-    )
-    stop = StopLine(1, 1, np.vstack([before.right[-1], before.left[-1]]), light=light.id)
-    road = Road({1: before, 2: behind}, default_speed_limit=v, stop_lines=(stop,))
+    road = lanes_to_stop_lines(path, {line: light.id}, v)
     metadata = (
-        expects(**{f"stop line {stop.id}": (DecisionKind.STOP,)})
+        expects(**{"stop line 1": (DecisionKind.STOP,)})
         if p["distance_m"] / v < changes[-1][0]
         else {}
     )

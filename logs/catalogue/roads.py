@@ -22,9 +22,10 @@ to oncoming traffic.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import pi
+from itertools import pairwise
+from math import copysign, pi
 
 import numpy as np
 
@@ -170,12 +171,23 @@ def lane_beside(
 
 def one_lane(path: CurveSamples, speed_limit: float, *, sidewalk: float = 0.0) -> Road:
     """One lane, with sidewalks of this width (m) on both sides where it is positive."""
-    lanes = [lane_beside(path, 1, speed_limit=speed_limit)]
-    side = 0.5 * (LANE_WIDTH_M + sidewalk)
-    for lane_id, left in ((2, side), (3, -side)) if sidewalk > 0.0 else ():
-        walk = lane_beside(path, lane_id, left=left, width=sidewalk, speed_limit=speed_limit)
-        lanes.append(replace(walk, drivable=False, kind="sidewalk"))
-    return Road({lane.id: lane for lane in lanes}, default_speed_limit=speed_limit)
+    own = lane_beside(path, 1, speed_limit=speed_limit)
+    walks = sidewalks(path, {2: _HALF, 3: -_HALF}, sidewalk, speed_limit)
+    return Road({1: own, **walks}, default_speed_limit=speed_limit)
+
+
+def sidewalks(
+    path: CurveSamples, kerbs: Mapping[int, float], width: float, speed_limit: float
+) -> dict[int, Lane]:
+    """Sidewalks of this width, m, by id, beyond kerbs that are so far to the left of the path, m;
+    none without a width.
+    """
+    lanes = {}
+    for i, kerb in kerbs.items() if width > 0.0 else ():
+        left = kerb + copysign(0.5 * width, kerb)
+        walk = lane_beside(path, i, left=left, width=width, speed_limit=speed_limit)
+        lanes[i] = replace(walk, drivable=False, kind="sidewalk")
+    return lanes
 
 
 def two_lanes(path: CurveSamples, speed_limit: float, *, ego_on_right: bool) -> Road:
@@ -189,8 +201,9 @@ def two_lanes(path: CurveSamples, speed_limit: float, *, ego_on_right: bool) -> 
     return Road({1: own, 2: other}, default_speed_limit=speed_limit)
 
 
-def two_way(path: CurveSamples, speed_limit: float) -> Road:
-    """The ego's lane 1 on the path, and lane 2 to its left, driven back.
+def two_way(path: CurveSamples, speed_limit: float, *, sidewalk: float = 0.0) -> Road:
+    """The ego's lane 1 on the path, and lane 2 to its left, driven back; with sidewalks as
+    `one_lane`.
 
     The marking between may be crossed.
     """
@@ -204,7 +217,29 @@ def two_way(path: CurveSamples, speed_limit: float) -> Road:
         left_opposite=True,
         left_crossable=True,
     )
-    return Road({1: own, 2: back}, default_speed_limit=speed_limit)
+    walks = sidewalks(path, {3: 3.0 * _HALF, 4: -_HALF}, sidewalk, speed_limit)
+    return Road({1: own, 2: back, **walks}, default_speed_limit=speed_limit)
+
+
+def lanes_to_stop_lines(
+    path: CurveSamples, lights: Mapping[float, int | None], speed_limit: float
+) -> Road:
+    """One lane with stop lines, which part it: their stations on the path, m, each with its light;
+    None: a stop sign.
+    """
+    ends = list(enumerate(pairwise((0.0, *lights, path.length)), start=1))
+    lanes = {
+        i: replace(
+            lane_beside(path.part(*part), i, speed_limit=speed_limit),
+            successors=(i + 1,) if i < len(ends) else (),
+        )
+        for i, part in ends
+    }
+    stop_lines = tuple(
+        StopLine(i, i, np.vstack([lanes[i].right[-1], lanes[i].left[-1]]), light, light is None)
+        for i, light in enumerate(lights.values(), start=1)
+    )
+    return Road(lanes, default_speed_limit=speed_limit, stop_lines=stop_lines)
 
 
 def stretch(

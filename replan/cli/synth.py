@@ -223,7 +223,8 @@ of it beside the careful driver.
 """  # noqa: E501
 SUITES_SAID = """A suite is a prefix of one order of all cells (seed {seed}), so that a smaller one is part of
 a larger. Each family gives a cell first, then about as many as the root of how many it has, each the farthest in its
-grid from those before it (`logs/catalogue/__init__.py`)."""  # noqa: E501
+grid from those before it (`logs/catalogue/__init__.py`). `separating` is a group, with all its cells, and no part of
+the others."""  # noqa: E501
 ABOUT: Mapping[str, str] = {
     "paper": "The tests of the paper. The paper gives no numbers; these are a passenger car's.",
     "everyday": "Everyday driving and traffic rules.",
@@ -246,6 +247,10 @@ ABOUT: Mapping[str, str] = {
     "faults": (
         "Logs with faults of perception (scene 0 the crossing pedestrian, 1 a lead, 2 a cut-in), "
         "of the ego's start, and of lanes."
+    ),
+    "separating": (
+        "Situations in which a fault in what a planner is fed shows "
+        "([which one where](../studies/README.md#logs-that-separate)): a suite of its own."
     ),
 }
 """One or two sentences on each group."""

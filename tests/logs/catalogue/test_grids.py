@@ -65,7 +65,8 @@ def test_cells_build_are_clean_and_are_found_again_by_name(name: str, tmp_path: 
         if "expected_decisions" in log.metadata
         else {}
     )
-    assert set(wanted) <= set(log.tracks.ids)
+    lines = {f"stop line {line.id}" for line in log.road.stop_lines}
+    assert set(wanted) <= lines.union(log.tracks.ids)
     assert {kind for kinds in wanted.values() for kind in kinds} <= {
         kind.value for kind in DecisionKind
     }
@@ -260,7 +261,9 @@ def test_suites_have_their_sizes_and_are_parts_of_each_other() -> None:
         SUITES[n].size for n in ("smoke", "full", "nightly")
     ]
     assert nightly[:20] == smoke and nightly[:300] == full and len(set(nightly)) == 3000
-    assert {name.partition("@")[0] for name in full} == set(FAMILIES)
+    apart = suite("separating")
+    assert len(apart) == SUITES["separating"].size and not set(apart) & set(suite("nightly", 2))
+    assert {name.partition("@")[0] for name in (*full, *apart)} == set(FAMILIES)
     groups = [name.partition("/")[0] for name in smoke]
     assert {groups.count(group) for group in set(groups)} <= {2, 3}
 

@@ -34,7 +34,7 @@ from replan.planners.dp_qp.path.passing import (
 from replan.planners.dp_qp.path.stage import ChosenPath, PathConfig, PathMemory, PathStage
 from replan.planners.dp_qp.speed.caps import SpeedTask
 from replan.planners.dp_qp.speed.stage import ChosenSpeed, SpeedConfig, SpeedMemory, SpeedStage
-from replan.planners.frenet.reference_path import LaneSequence
+from replan.planners.frenet.lane_sequences import LaneSequence
 from replan.planners.frenet.scene import (
     STITCH_M,
     STITCH_MPS,

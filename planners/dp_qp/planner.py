@@ -58,8 +58,8 @@ from replan.planners.dp_qp.path.passing import (
     obstacles_to_pass,
     pass_targets,
 )
+from replan.planners.frenet.lane_sequences import LaneSequence, LaneSequences
 from replan.planners.frenet.profiles import STEP_S, Stops, fall_back, trajectory_along
-from replan.planners.frenet.reference_path import LaneSequence, LaneSequences
 from replan.planners.frenet.scene import Scene, start_of
 from replan.planners.rules.rulebook import YIELD_MPS2
 

@@ -49,7 +49,7 @@ from replan.logs.scenario import Scenario
 from replan.logs.shapes import distance
 from replan.logs.states import Trajectory, wrap
 from replan.logs.vehicle import VehicleParameters
-from replan.planners.frenet.reference_path import LaneSequences
+from replan.planners.frenet.lane_sequences import LaneSequences
 from replan.planners.frenet.scene import STANDING_MPS as AGENT_STANDS_MPS, VULNERABLE, Futures
 from replan.planners.frenet.st_boundaries import ALONG
 from replan.planners.frenet.sweep import Roles, SweptPath

@@ -28,7 +28,7 @@ from replan.logs.rules import RED
 from replan.logs.scenario import Scenario
 from replan.logs.states import EgoState
 from replan.logs.trace import Trace
-from replan.planners.frenet.reference_path import LaneSequences
+from replan.planners.frenet.lane_sequences import LaneSequences
 from replan.planners.frenet.scene import STANDING_MPS, UNLIKELY, RouteTracker
 from replan.replay.loop_config import LoopConfig
 from replan.results.schema import names_of

@@ -55,7 +55,7 @@ from replan.metrics.metric import Series
 from replan.metrics.reference_drivers import DRIVERS, RETURN_S, careful_drive
 from replan.metrics.route_gain import gain_along, route_of
 from replan.metrics.time_to_collision import CLOSE_S, ttc
-from replan.planners.frenet.reference_path import make_line
+from replan.planners.frenet.route_line import make_line
 from replan.replay.loop.closed_loop import run_closed_loop
 from replan.replay.loop_config import DEFAULT_LOOP, LoopConfig
 

@@ -48,8 +48,8 @@ from replan.planners.dp_qp.lane import LaneConfig, LaneMemory, LanePlanner
 from replan.planners.dp_qp.path.qp import PathQp
 from replan.planners.dp_qp.speed.qp import SpeedQp, SpeedQpConfig
 from replan.planners.dp_qp.speed.stage import DOUBTED
+from replan.planners.frenet.lane_sequences import LaneSequences
 from replan.planners.frenet.profiles import meets
-from replan.planners.frenet.reference_path import LaneSequences
 from replan.planners.solver import QPResult
 from replan.replay.prediction import predict
 

@@ -29,7 +29,7 @@ from replan.logs.states import EgoState
 from replan.planners.dp_qp import DpQpConfig
 from replan.planners.dp_qp.lane import LaneMemory, LanePlan, LanePlanner
 from replan.planners.dp_qp.planner import PassMemory, passing
-from replan.planners.frenet.reference_path import LaneSequences
+from replan.planners.frenet.lane_sequences import LaneSequences
 
 TWO, EGO = lanes(along_x(), 2), EgoState(0.0, 0.0, 0.0, 0.0, 9.0)
 

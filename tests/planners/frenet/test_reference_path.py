@@ -14,14 +14,8 @@ from replan.logs.road import Road
 from replan.logs.route import find_route
 from replan.logs.states import EgoState
 from replan.logs.vehicle import VehicleParameters
-from replan.planners.frenet.reference_path import (
-    BENDING_WEIGHT,
-    MAX_SHIFT_M,
-    SPACING_M,
-    ReferencePath,
-    make_reference_path,
-    smooth_points,
-)
+from replan.planners.frenet.reference_path import ReferencePath, make_reference_path
+from replan.planners.frenet.route_line import BENDING_WEIGHT, MAX_SHIFT_M, SPACING_M, smooth_points
 
 EGO = EgoState(0.0, 0.0, 0.0, 0.0, 10.0)
 

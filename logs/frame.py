@@ -15,7 +15,7 @@ import numpy as np
 from replan.core.arrays import BoolArray, FloatArray, IntArray, frozen
 from replan.core.kernel import kernel
 from replan.logs.agents import Agents
-from replan.logs.past import NOTHING_EARLIER, Earlier, Moment, Past
+from replan.logs.past import NOTHING_EARLIER, Earlier, Past, Snapshot
 from replan.logs.plan import Plan
 from replan.logs.polylines import inside
 from replan.logs.road import Goal, Road
@@ -130,9 +130,9 @@ class Frame:
     earlier: Earlier = NOTHING_EARLIER
 
     @property
-    def moment(self) -> Moment:
+    def snapshot(self) -> Snapshot:
         """Ego, agents and lights of the frame."""
-        return Moment(self.t, self.ego, self.agents, self.lights)
+        return Snapshot(self.t, self.ego, self.agents, self.lights)
 
     @property
     def past(self) -> Past:
@@ -140,7 +140,7 @@ class Frame:
 
         It is made at each call: read it once. A frame that is made by hand has a past that is held.
         """
-        return self.earlier.past(self.moment)
+        return self.earlier.past(self.snapshot)
 
 
 PLAN_HORIZON_S = 3.0

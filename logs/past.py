@@ -1,10 +1,10 @@
 """What a planner knew before a frame: the ego, the agents and the lights of the last 2.1 s.
 
-A drive's frames become `Moment`s. A past has the moments at
+A drive's frames become `Snapshot`s. A past has the snapshots at
 
 (1) tau_k = t - k `PAST_STEP_S`,  k = `PAST_STEPS` ... 1
 
-of each the last known moment up to tau_k, moved with its velocities where it is older. Before the
+of each the last known snapshot up to tau_k, moved with its velocities where it is older. Before the
 first frame of a drive the log is asked; before the log begins, the ego drove as it does at first,
 on its arc, and no agent was seen. nuPlan's planners get the same: 21 steps of 0.1 s and the present
 (`nuplan.planning.simulation.history.simulation_history_buffer`).
@@ -44,7 +44,7 @@ class PastSource(Enum):
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Moment:
+class Snapshot:
     """What was known at one instant; attributes as in `Frame`."""
 
     t: float
@@ -53,8 +53,8 @@ class Moment:
     lights: Mapping[int, Colour]
     source: PastSource = PastSource.DRIVE
 
-    def at(self, t: float) -> Moment:
-        """The moment, moved to a time: the ego on its arc, the agents with their velocities."""
+    def at(self, t: float) -> Snapshot:
+        """The snapshot, moved to a time: the ego on its arc, the agents with their velocities."""
         later = t - self.t
         if abs(later) < SAME_TIME_S:
             return self
@@ -99,11 +99,11 @@ class Past:
         return len(self.t)
 
 
-Before = Callable[[Sequence[float]], Sequence[Moment]]
-"""Gives the moments at times before the first frame of a drive, in order of time."""
+Before = Callable[[Sequence[float]], Sequence[Snapshot]]
+"""Gives the snapshots at times before the first frame of a drive, in order of time."""
 
 
-def _nothing_before(times: Sequence[float]) -> Sequence[Moment]:
+def _nothing_before(times: Sequence[float]) -> Sequence[Snapshot]:
     return ()
 
 
@@ -127,71 +127,71 @@ class Earlier:
     """What a past is made of, when it is asked for.
 
     Attributes:
-        moments: The frames of the drive in the last `PAST_S`, in order of time.
+        snapshots: The frames of the drive in the last `PAST_S`, in order of time.
         before: Gives what was before the drive.
         offset: Is added to all their positions, m.
     """
 
-    moments: tuple[Moment, ...] = ()
+    snapshots: tuple[Snapshot, ...] = ()
     before: Before = field(default=_nothing_before)
     offset: tuple[float, float] = (0.0, 0.0)
 
-    def steps(self, now: Moment) -> list[Moment]:
-        """The moments at the times (1), oldest first."""
+    def steps(self, now: Snapshot) -> list[Snapshot]:
+        """The snapshots at the times (1), oldest first."""
         now_ns = round(1e9 * now.t)
         times = [(now_ns - k * STEP_NS) / 1e9 for k in range(PAST_STEPS, 0, -1)]
-        known = [*(self._moved(moment) for moment in self.moments), now]
+        known = [*(self._moved(snapshot) for snapshot in self.snapshots), now]
         early = [t for t in times if t < known[0].t - SAME_TIME_S]
-        before = [self._moved(moment) for moment in self.before(early)]
+        before = [self._moved(snapshot) for snapshot in self.before(early)]
         first = [*before, *known][0]
         nobody = first.agents.some(np.empty(0, np.int64))
         unknown = replace(first, agents=nobody, source=PastSource.HELD)
         steps = [unknown.at(t) for t in early[: len(early) - len(before)]]
         steps += before
         for t in times[len(early) :]:
-            last = next(moment for moment in reversed(known) if moment.t <= t + SAME_TIME_S)
+            last = next(snapshot for snapshot in reversed(known) if snapshot.t <= t + SAME_TIME_S)
             steps.append(last.at(t))
         return steps
 
-    def _moved(self, moment: Moment) -> Moment:
+    def _moved(self, snapshot: Snapshot) -> Snapshot:
         x, y = self.offset
         if not (x or y):
-            return moment
-        ego, agents = moment.ego, moment.agents
+            return snapshot
+        ego, agents = snapshot.ego, snapshot.agents
         return replace(
-            moment,
+            snapshot,
             ego=replace(ego, x=ego.x + x, y=ego.y + y),
             agents=replace(agents, x=agents.x + x, y=agents.y + y),
         )
 
-    def known(self, now: Moment) -> list[Moment]:
+    def known(self, now: Snapshot) -> list[Snapshot]:
         """The steps before the first frame of the drive, oldest first, then its frames."""
-        frames = [self._moved(moment) for moment in self.moments]
+        frames = [self._moved(snapshot) for snapshot in self.snapshots]
         begin = [*frames, now][0].t - SAME_TIME_S
         return [*(step for step in self.steps(now) if step.t < begin), *frames]
 
-    def past(self, now: Moment) -> Past:
-        """The past of a moment; it is made anew at each call."""
+    def past(self, now: Snapshot) -> Past:
+        """The past of a snapshot; it is made anew at each call."""
         steps = self.steps(now)
         agents = dict[str, tuple[Agents, int]]()
-        for moment in (now, *reversed(steps)):
-            for row, name in enumerate(moment.agents.ids):
-                agents.setdefault(name, (moment.agents, row))
+        for snapshot in (now, *reversed(steps)):
+            for row, name in enumerate(snapshot.agents.ids):
+                agents.setdefault(name, (snapshot.agents, row))
         place = {name: n for n, name in enumerate(agents)}
         columns = np.zeros((len(MOTION), len(steps) + 1, len(agents)))
         seen = np.zeros((len(steps) + 1, len(agents)), np.bool_)
-        for k, moment in enumerate((*steps, now)):
-            rows = [place[name] for name in moment.agents.ids]
+        for k, snapshot in enumerate((*steps, now)):
+            rows = [place[name] for name in snapshot.agents.ids]
             seen[k, rows] = True
             for column, name in zip(columns, MOTION, strict=True):
-                column[k, rows] = getattr(moment.agents, name)
-        t = np.array([moment.t for moment in (*steps, now)])
+                column[k, rows] = getattr(snapshot.agents, name)
+        t = np.array([snapshot.t for snapshot in (*steps, now)])
         _fill(columns, seen, t)
         last = agents.values()
         x, y, yaw, vx, vy = columns[:, :-1]
         return Past(
             t[:-1],
-            tuple(moment.ego for moment in steps),
+            tuple(snapshot.ego for snapshot in steps),
             tuple(agents),
             tuple(of_agents.kinds[row] for of_agents, row in last),
             np.array([of_agents.length[row] for of_agents, row in last]),
@@ -202,8 +202,8 @@ class Earlier:
             vx,
             vy,
             seen[:-1],
-            tuple(moment.lights for moment in steps),
-            tuple(moment.source for moment in steps),
+            tuple(snapshot.lights for snapshot in steps),
+            tuple(snapshot.source for snapshot in steps),
         )
 
 

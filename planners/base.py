@@ -2,7 +2,8 @@
 
 The replay builds a planner as `Class(context, **config)`, once per scenario, and calls `plan` at
 each frame. The planner's memory (solver warm starts, hysteresis) lives in the object; there is no
-reset. Where `frame.previous` is None, memory of earlier frames must not change the plan.
+reset. Where `frame.previous` is None, memory of earlier frames must not change the plan; what was
+before is in `frame.past`, if the class asks for it with `past_s` (s, at most 2.1).
 """
 
 from __future__ import annotations

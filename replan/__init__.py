@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from replan.logs.catalogue.family import Family
     from replan.logs.frame import Frame, PlannerContext, Predictions, Visibility
     from replan.logs.mcap.writer import write_scenario as write_log
+    from replan.logs.past import Past, PastSource
     from replan.logs.plan import (
         Candidates,
         Corridor,
@@ -117,6 +118,8 @@ __all__ = [
     "Metric",
     "Mode",
     "OutputError",
+    "Past",
+    "PastSource",
     "Plan",
     "PlanStart",
     "PlanStatus",
@@ -173,6 +176,7 @@ _NAMES = {
     "replan.logs.agents": "AgentKind Agents",
     "replan.logs.catalogue.family": "Family",
     "replan.logs.frame": "Frame PlannerContext Predictions Visibility",
+    "replan.logs.past": "Past PastSource",
     "replan.logs.plan": (
         "Candidates Corridor CostTerms Decision DecisionKind GraphObstacle "
         "GridCost LaneOption Plan PlanStart PlanStatus SlGraph SolverReport StGraph"

@@ -141,6 +141,9 @@ class RunConfig(Config):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.log.begin < self.loop.warm_up_s:
+            later = self.log.between(self.loop.warm_up_s, self.log.end)
+            object.__setattr__(self, "log", later)
         if not self.planners:
             raise ConfigError("planners: name at least one planner")
         if len(set(self.planners)) < len(self.planners):

@@ -23,9 +23,9 @@ SECTIONS = {
     ): "evaluate compare load Results DriveResult Comparison RunConfig LoopConfig",
     "Logs": "read_log from_frames write_log Scenario Trace LogSettings",
     ("What a planner sees and answers"): (
-        "Planner PlannerContext Frame Plan Trajectory EgoState Agents AgentKind Tracks Predictions "
-        "Visibility Road RoadSource Lane Goal ReferenceLine StopLine Crosswalk TrafficLight Colour "
-        "VehicleParameters PlanStart PlanStatus Decision DecisionKind"
+        "Planner PlannerContext Frame Past PastSource Plan Trajectory EgoState Agents AgentKind "
+        "Tracks Predictions Visibility Road RoadSource Lane Goal ReferenceLine StopLine Crosswalk "
+        "TrafficLight Colour VehicleParameters PlanStart PlanStatus Decision DecisionKind"
     ),
     (
         "What a plan may hold for the recording"

@@ -123,6 +123,10 @@ class LoopConfig(Config):
     """Properties of the vehicle model that are hidden from planner and controller:
     VehicleParameters by name, and keywords of the model (`replan.replay.vehicle.build_vehicle`).
     """
+    warm_up_s: Limited = 0.0
+    """Least time of the log before a drive: it begins so late, and the planner's first frame has a
+    real past (2.2 s for all of it). `log.begin` is set to it if it is earlier.
+    """
     plan_delay_s: Limited = 0.0
     """Time from a frame until its plan is driven (the computing time), in whole control periods."""
     perception: str = "ground_truth"

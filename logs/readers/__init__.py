@@ -194,12 +194,14 @@ def read_log(
 
 
 def with_tracks(scenario: Scenario, settings: LogSettings) -> Scenario:
-    """Check a scenario without a file (`replan.logs.comparisons`), and make tracks from its
-    detections.
+    """Check a scenario without a file (`replan.logs.comparisons`), make tracks from its detections,
+    and cut the part between the settings' begin and end.
     """
     scenario = passed(scenario, COMPARISONS, settings)
     tracked = repaired(scenario, settings.repair)
-    return tracked if tracked.repair is scenario.repair else named(tracked)
+    part = cut(tracked, settings.begin, settings.end)
+    part = part if part is tracked else in_nanoseconds(part)
+    return part if tracked.repair is scenario.repair else named(part)
 
 
 def logs_in(

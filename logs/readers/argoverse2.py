@@ -139,11 +139,12 @@ def read_sensor_log(folder: Path, settings: LogSettings) -> Scenario:
                 "it."
             )
         vehicle = assumed_car({**FORD_FUSION, **settings.car}, notes)
-        ego, boxes, origin = from_start(drive, index, boxes)
+        ego, before, boxes, origin = from_start(drive, index, boxes)
     tracks = tracks_of(ordered(boxes, notes), notes)
     return Scenario(
         name=folder.name,
         ego=ego,
+        before=before,
         tracks=tracks,
         road=road_for(map_beside(folder), origin, ego, notes),
         duration=float(ego.t[-1]),

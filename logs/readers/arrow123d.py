@@ -137,7 +137,7 @@ def read_123d(folder: Path) -> Scenario:
     index = kept(drive.t, frames)
     if not (is_logged and has_velocities):
         index = from_second(index, drive.t, frames[:1], notes)
-    ego, boxes, origin = from_start(drive, index, boxes)
+    ego, before, boxes, origin = from_start(drive, index, boxes)
     start, start_us = float(drive.t[index[0]]), int(rows.time_us[index[0]])
     tracks = tracks_of(boxes, notes)
     road, lights = road_of(
@@ -153,6 +153,7 @@ def read_123d(folder: Path) -> Scenario:
     return Scenario(
         name=str(about.get("log_name") or folder.name),
         ego=ego,
+        before=before,
         tracks=tracks,
         road=road,
         duration=float(ego.t[-1]),

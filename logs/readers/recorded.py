@@ -28,13 +28,14 @@ Rotations are quaternions q = (x, y, z, w) of unit length, rows of `(n, 4)`:
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from replan.core.arrays import BoolArray, Columns, FloatArray, IntArray
 from replan.logs.agents import USUAL_SIZE_M, AgentKind
 from replan.logs.complete import completed
+from replan.logs.edit.cut import HISTORY_S
 from replan.logs.heights import on_the_way
 from replan.logs.states import Trajectory
 from replan.logs.tracks import Tracks
@@ -307,19 +308,34 @@ def from_second(
     return index[begin:]
 
 
-def from_start(
-    whole: Trajectory, index: IntArray, boxes: RecordedBoxes
-) -> tuple[Trajectory, RecordedBoxes, FloatArray]:
-    """Shift time and origin to the first state of `index`; return these states, the boxes, and the
-    origin `(2,)`.
+class FromStart(NamedTuple):
+    """A recording with the time and the origin of its first state: its states, those before them,
+    its boxes, and the origin `(2,)`, m.
+    """
+
+    ego: Trajectory
+    before: Trajectory | None
+    boxes: RecordedBoxes
+    origin: FloatArray
+
+
+def from_start(whole: Trajectory, index: IntArray, boxes: RecordedBoxes) -> FromStart:
+    """Shift time and origin to the first state of `index`; the states before it are the past.
 
     Times are rounded to whole nanoseconds, as in logs.
     """
-    ego = whole.taken(index)
-    start, origin = float(ego.t[0]), np.round([ego.x[0], ego.y[0]])
-    ego_t, boxes_t = (np.asarray(np.rint(1e9 * (t - start)) / 1e9) for t in (ego.t, boxes.t))
-    ego = replace(ego, t=ego_t, x=ego.x - origin[0], y=ego.y - origin[1])
-    return ego, replace(boxes, t=boxes_t, x=boxes.x - origin[0], y=boxes.y - origin[1]), origin
+    first = whole.state(int(index[0]))
+    start, origin = first.t, np.round([first.x, first.y])
+
+    def shifted(ego: Trajectory) -> Trajectory:
+        t = np.rint(1e9 * (ego.t - start)) / 1e9
+        return replace(ego, t=t, x=ego.x - origin[0], y=ego.y - origin[1])
+
+    is_past = (whole.t < start) & (whole.t >= start - HISTORY_S)
+    before = shifted(whole.taken(is_past)) if is_past.any() else None
+    boxes_t = np.asarray(np.rint(1e9 * (boxes.t - start)) / 1e9)
+    boxes = replace(boxes, t=boxes_t, x=boxes.x - origin[0], y=boxes.y - origin[1])
+    return FromStart(shifted(whole.taken(index)), before, boxes, origin)
 
 
 def held_curvature(rate: FloatArray, v: FloatArray) -> FloatArray:

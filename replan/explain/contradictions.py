@@ -155,8 +155,8 @@ def _occupied_from(path: SweptPath, agents: Agents, row: int, car: VehicleParame
     alone, times = agents.some(np.array([row])), frozen(np.arange(2.0))
     poses = (frozen(np.repeat(column[:, None], 2, 1)) for column in (alone.x, alone.y, alone.yaw))
     futures = Futures(times, np.zeros(1, np.int64), frozen(np.ones(1)), *poses)
-    occupancies = occupied(path, futures, bodies(alone), car)
-    return next((float(occupancy.lower[0]) for occupancy in occupancies), float("nan"))
+    occupied_parts = occupied(path, futures, bodies(alone), car)
+    return next((float(part.lower[0]) for part in occupied_parts), float("nan"))
 
 
 def _beside(seen: PlannerInput) -> Iterator[Contradiction]:

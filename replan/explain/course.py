@@ -40,7 +40,7 @@ from math import cos, hypot, inf, nan, radians, sin
 import numpy as np
 
 from replan.core.arrays import BoolArray, FloatArray, arc_lengths, frozen
-from replan.explain.occupancy import Occupancy, bodies, occupied
+from replan.explain.occupancy import OccupiedStations, bodies, occupied
 from replan.logs.agents import Agents
 from replan.logs.frame import PlannerContext, Predictions
 from replan.logs.plan import Plan
@@ -411,7 +411,7 @@ def meetings(
     """
     times, poses = fine(futures)
     no_one = np.zeros(len(agents), np.bool_)
-    occupancies = occupied(
+    occupied_parts = occupied(
         way.swept,
         Futures(frozen(times), futures.agent, futures.probability, *map(frozen, poses)),
         bodies(agents),
@@ -420,7 +420,7 @@ def meetings(
         Roles(no_one, VULNERABLE[agents.codes], passed),
     )
     meetings_of: dict[int, Meeting] = {}
-    for taken in occupancies:
+    for taken in occupied_parts:
         agent = taken.agent
         meeting = _meeting(held, way, agents, taken, poses[:, taken.prediction], car)
         if meeting is not None and (
@@ -466,7 +466,7 @@ def _meeting(
     held: Held,
     way: PlanWay,
     agents: Agents,
-    taken: Occupancy,
+    taken: OccupiedStations,
     pose: FloatArray,
     car: VehicleParameters,
 ) -> Meeting | None:

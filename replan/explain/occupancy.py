@@ -20,7 +20,7 @@ passed, m.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Occupancy:
+class OccupiedStations:
     """What one prediction of an agent occupies.
 
     Attributes:
@@ -54,7 +54,7 @@ def occupied(
     car: VehicleParameters,
     margins: tuple[float, float, float] = NO_MARGINS,
     roles: Roles | None = None,
-) -> Iterator[Occupancy]:
+) -> Iterator[OccupiedStations]:
     """The predictions that occupy a part of a path; the time of their samples `(k,)` is free.
 
     `roles`: who is vulnerable and who is passed; None: nobody.
@@ -72,4 +72,4 @@ def occupied(
         1,
     )
     for k in range(len(lower)):
-        yield Occupancy(int(agent[k]), int(row[k]), lower[k], upper[k], float(along[k]))
+        yield OccupiedStations(int(agent[k]), int(row[k]), lower[k], upper[k], float(along[k]))

@@ -27,6 +27,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import accumulate
+from math import inf
 from pathlib import Path
 from typing import Protocol, TypeVar
 from uuid import uuid4
@@ -202,16 +203,16 @@ def _selected(
         logs, suite = suite_file(Path(suite)), None
     if suite is None and logs:
         return select(logs, settings, window, every)
-    if window is not None or settings != LogSettings():
+    if window is not None or settings.between(0.0, inf) != LogSettings():
         raise ConfigError(
-            "[log] settings and --window are not for the built-in suites; name logs, or leave them "
-            "out"
+            "[log] settings but begin and end, and --window, are not for the built-in suites; name "
+            "logs, or leave them out"
         )
-    if suite is None:
-        return builtin_suite()
-    if logs:
+    if suite is not None and logs:
         raise ConfigError(f"--suite {suite} selects logs itself: leave out other logs")
-    return named_suite(suite)
+    built_in = builtin_suite() if suite is None else named_suite(suite)
+    parts = (replace(source, settings=settings) for source in built_in.sources)
+    return replace(built_in, sources=tuple(parts))
 
 
 def _stated_logs(

@@ -73,10 +73,11 @@ class LogSource:
 
         For a remote log, sizes and versions replace the hash, so that it need not be fetched.
         """
+        settings = self.settings
         if self.path is None and not self.remote and not self.content:
             file = FAMILY.file(self.label.partition("@")[0])
-            return f"catalogue {self.label}{f' {file_hash(file)}' if file else ''}"
-        settings = self.settings
+            part = f" {settings}" if settings.between(0.0, inf) != settings else ""
+            return f"catalogue {self.label}{f' {file_hash(file)}' if file else ''}{part}"
         if settings.map:
             settings = replace(
                 settings, map=" ".join(map(file_hash, map_files(Path(settings.map))))

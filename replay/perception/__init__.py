@@ -16,7 +16,7 @@ from replan.core.arrays import FloatArray
 from replan.logs.agents import Agents
 from replan.logs.frame import Frame, Predictions, Visibility
 from replan.logs.nearby_tracks import NearbyTracks
-from replan.logs.past import PAST_S, SAME_TIME_S, Earlier, Moment, PastSource
+from replan.logs.past import PAST_S, SAME_TIME_S, Earlier, PastSource, Snapshot
 from replan.logs.plan import Plan
 from replan.logs.rules import Colour
 from replan.logs.scenario import Scenario
@@ -94,7 +94,7 @@ class Perception:
         self._true = shows_truth(config.perception, scenario)
         self._sight = config.part("perception").build(scenario, config)
         self._scenario = scenario
-        self._moments: deque[Moment] = deque()
+        self._snapshots: deque[Snapshot] = deque()
         self._shown: list[tuple[float, Agents]] = []
         self.is_oracle = config.prediction == ORACLE
         self._predictor = None if self.is_oracle else config.part("prediction").configured()
@@ -131,26 +131,26 @@ class Perception:
                 predictor=self._predictor,
             )
         lights = self._colours(t)
-        while self._moments and self._moments[0].t < t - PAST_S - config.plan_period_s:
-            self._moments.popleft()
-        earlier = Earlier(tuple(self._moments), self._before)
-        self._moments.append(Moment(t, world.ego, agents, lights))
+        while self._snapshots and self._snapshots[0].t < t - PAST_S - config.plan_period_s:
+            self._snapshots.popleft()
+        earlier = Earlier(tuple(self._snapshots), self._before)
+        self._snapshots.append(Snapshot(t, world.ego, agents, lights))
         return Frame(t, world.ego, agents, predictions, previous, visibility, lights, earlier)
 
     def _colours(self, t: float) -> dict[int, Colour]:
         return {light.id: light.at(t) for light in self._lights}
 
-    def _before(self, times: Sequence[float]) -> list[Moment]:
+    def _before(self, times: Sequence[float]) -> list[Snapshot]:
         """What the log shows before the drive at times that it covers, seen anew."""
         scenario, ego = self._scenario, self._scenario.whole_ego
         sight = self._config.part("perception").build(scenario, self._config)
-        moments = []
+        snapshots = []
         for t in times:
             if t >= ego.t[0] - SAME_TIME_S:
                 state = logged_ego(ego, scenario.vehicle, t)
                 agents, _ = sight(World(state, scenario.tracks))
-                moments.append(Moment(t, state, agents, self._colours(t), PastSource.LOG))
-        return moments
+                snapshots.append(Snapshot(t, state, agents, self._colours(t), PastSource.LOG))
+        return snapshots
 
     @property
     def shown(self) -> Tracks | None:

@@ -201,8 +201,8 @@ class Plan(msgspec.Struct, tag="plan", omit_defaults=True):
     inside: Inside | None = None
 
 
-class Moment(msgspec.Struct):
-    """`replan.logs.past.Moment`: what was known at an earlier time; `source` is "log" or "held"
+class Snapshot(msgspec.Struct):
+    """`replan.logs.past.Snapshot`: what was known at an earlier time; `source` is "log" or "held"
     before the first frame of the drive.
     """
 
@@ -215,7 +215,7 @@ class Moment(msgspec.Struct):
 
 class Frame(msgspec.Struct, tag="frame", omit_defaults=True):
     """`replan.logs.frame.Frame`: answered by `Plan`; `previous` is the plan being driven, without
-    its internals. `earlier`: moments of the past that were not sent yet, to planners that ask.
+    its internals. `earlier`: snapshots of the past that were not sent yet, to planners that ask.
     """
 
     t: float
@@ -225,7 +225,7 @@ class Frame(msgspec.Struct, tag="frame", omit_defaults=True):
     previous: Plan | None
     visibility: frame.Visibility | None
     lights: list[Light]
-    earlier: list[Moment] = []
+    earlier: list[Snapshot] = []
 
 
 class Ready(msgspec.Struct, tag="ready"):
@@ -338,15 +338,15 @@ def _light_messages(lights: Mapping[int, Colour]) -> list[Light]:
     return [Light(light, colour) for light, colour in lights.items()]
 
 
-def moment_message(moment: past.Moment) -> Moment:
-    """The message of a moment."""
-    agents_then, lights = message_of(Agents, moment.agents), _light_messages(moment.lights)
-    return Moment(moment.t, moment.ego, agents_then, lights, moment.source)
+def snapshot_message(snapshot: past.Snapshot) -> Snapshot:
+    """The message of a snapshot."""
+    agents_then, lights = message_of(Agents, snapshot.agents), _light_messages(snapshot.lights)
+    return Snapshot(snapshot.t, snapshot.ego, agents_then, lights, snapshot.source)
 
 
-def moment_of(message: Moment) -> past.Moment:
-    """The moment of a message."""
-    return past.Moment(
+def snapshot_of(message: Snapshot) -> past.Snapshot:
+    """The snapshot of a message."""
+    return past.Snapshot(
         message.t,
         message.ego,
         noun_of(agents.Agents, message.agents),

@@ -1,6 +1,6 @@
 """The past of frames between two processes: what the planner lacks, once.
 
-A frame that was sent is a moment of the past of later frames. What was before the first frame of a
+A frame that was sent is a part of the past of later ones. What was before the first frame of a
 drive is therefore sent with the first frames, and only to planners that ask for it.
 """
 
@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from replan.core.errors import PlannerError
 from replan.logs import frame as nouns
-from replan.logs.past import PAST_S, SAME_TIME_S, Earlier, Moment
+from replan.logs.past import PAST_S, SAME_TIME_S, Earlier, Snapshot
 from replan.replay.parts import Factory
 from replan.replay.planner_process import messages
 
@@ -26,7 +26,7 @@ def past_s_of(factory: Factory) -> float:
     return float(asked)
 
 
-def _not_asked(times: Sequence[float]) -> Sequence[Moment]:
+def _not_asked(times: Sequence[float]) -> Sequence[Snapshot]:
     raise RuntimeError(
         f"frame.past is read without being asked for: give the planner's class past_s = {PAST_S:g}"
     )
@@ -44,14 +44,17 @@ class SentPast:
         self._sent: set[float] = set()
 
     def message(self, frame: nouns.Frame) -> messages.Frame:
-        """The message of a frame, with the moments that the planner lacks."""
+        """The message of a frame, with the snapshots that the planner lacks."""
         message = messages.frame_message(frame)
         if self._past_s > 0.0:
             begin = frame.t - self._past_s - SAME_TIME_S
-            known = [moment for moment in frame.earlier.known(frame.moment) if moment.t >= begin]
-            lacking = [moment for moment in known if moment.t not in self._sent]
-            message.earlier = [messages.moment_message(moment) for moment in lacking]
-            self._sent |= {frame.t, *(moment.t for moment in lacking)}
+            lacking = [
+                snapshot
+                for snapshot in frame.earlier.known(frame.snapshot)
+                if snapshot.t >= begin and snapshot.t not in self._sent
+            ]
+            message.earlier = list(map(messages.snapshot_message, lacking))
+            self._sent |= {frame.t, *(snapshot.t for snapshot in lacking)}
         return message
 
 
@@ -60,18 +63,18 @@ class ReceivedPast:
 
     def __init__(self, past_s: float) -> None:
         self._past_s = past_s
-        self._moments: list[Moment] = []
+        self._snapshots: list[Snapshot] = []
 
     def frame(self, message: messages.Frame) -> nouns.Frame:
         """The frame of a message."""
         frame = messages.frame_of(message)
         if not self._past_s:
             return replace(frame, earlier=NOT_ASKED)
-        self._moments += map(messages.moment_of, message.earlier)
-        self._moments.sort(key=lambda moment: moment.t)
+        self._snapshots += map(messages.snapshot_of, message.earlier)
+        self._snapshots.sort(key=lambda snapshot: snapshot.t)
         begin = frame.t - PAST_S
-        while len(self._moments) > 1 and self._moments[1].t <= begin + SAME_TIME_S:
-            del self._moments[0]
-        known = tuple(moment for moment in self._moments if moment.t < frame.t - SAME_TIME_S)
-        self._moments.append(frame.moment)
-        return replace(frame, earlier=Earlier(known))
+        while len(self._snapshots) > 1 and self._snapshots[1].t <= begin + SAME_TIME_S:
+            del self._snapshots[0]
+        before = [item for item in self._snapshots if item.t < frame.t - SAME_TIME_S]
+        self._snapshots.append(frame.snapshot)
+        return replace(frame, earlier=Earlier(tuple(before)))

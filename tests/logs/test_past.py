@@ -16,7 +16,7 @@ from replan.logs.edit.transform import mirrored, moved
 from replan.logs.frame import Frame, PlannerContext, Predictions
 from replan.logs.mcap.reader import read_scenario
 from replan.logs.mcap.writer import write_scenario
-from replan.logs.past import PAST_S, PAST_STEP_S, PAST_STEPS, Earlier, Moment, Past, PastSource
+from replan.logs.past import PAST_S, PAST_STEP_S, PAST_STEPS, Earlier, Past, PastSource, Snapshot
 from replan.logs.plan import Plan
 from replan.logs.scenario import Scenario
 from replan.logs.states import EgoState
@@ -40,10 +40,10 @@ def agents_at(t: float, names: tuple[str, ...], speed: float = 2.0) -> Agents:
     return Agents(names, (AgentKind.CAR,) * n, *columns, np.full(n, speed), np.zeros(n))
 
 
-def moment(t: float, names: tuple[str, ...] = ("a", "b")) -> Moment:
+def snapshot(t: float, names: tuple[str, ...] = ("a", "b")) -> Snapshot:
     """The ego drives on an arc at 5 m/s."""
     ego = EgoState(0.0, 0.0, 0.0, 0.0, 5.0, kappa=0.1, yaw_rate=0.5).later(t)
-    return Moment(t, ego, agents_at(t, names), {})
+    return Snapshot(t, ego, agents_at(t, names), {})
 
 
 def frames_of(
@@ -70,8 +70,8 @@ def assert_equal(first: Past, second: Past) -> None:
 def test_a_past_is_full_and_has_the_agents_of_the_frame_first(
     ticks: list[int], names: list[str]
 ) -> None:
-    known = tuple(moment(0.1 * tick, ("b", "c")) for tick in sorted(ticks))
-    past = Earlier(known).past(moment(0.0, tuple(names)))
+    known = tuple(snapshot(0.1 * tick, ("b", "c")) for tick in sorted(ticks))
+    past = Earlier(known).past(snapshot(0.0, tuple(names)))
     assert len(past) == PAST_STEPS
     np.testing.assert_allclose(past.t, -PAST_STEP_S * np.arange(PAST_STEPS, 0, -1))
     assert past.ids[: len(names)] == tuple(names)
@@ -87,10 +87,10 @@ def test_a_past_is_full_and_has_the_agents_of_the_frame_first(
 @given(st.integers(0, 30))
 def test_who_moves_evenly_has_the_same_past_whether_it_was_seen_or_not(known: int) -> None:
     """Velocity and arc are exact: what is held is what was."""
-    moments = tuple(moment(0.1 * tick) for tick in range(-known, 0))
-    past = Earlier(moments).past(moment(0.0))
+    snapshots = tuple(snapshot(0.1 * tick) for tick in range(-known, 0))
+    past = Earlier(snapshots).past(snapshot(0.0))
     for k, t in enumerate(past.t):
-        truth = moment(float(t))
+        truth = snapshot(float(t))
         np.testing.assert_allclose(past.x[k], truth.agents.x, atol=1e-9)
         assert past.ego[k].x == pytest.approx(truth.ego.x)
         assert past.ego[k].y == pytest.approx(truth.ego.y)
@@ -99,9 +99,9 @@ def test_who_moves_evenly_has_the_same_past_whether_it_was_seen_or_not(known: in
 
 def test_an_agent_that_is_gone_is_last_and_not_seen_any_more() -> None:
     known = tuple(
-        moment(0.1 * tick, ("gone", "a") if tick < -5 else ("a",)) for tick in range(-21, 0)
+        snapshot(0.1 * tick, ("gone", "a") if tick < -5 else ("a",)) for tick in range(-21, 0)
     )
-    past = Earlier(known).past(moment(0.0, ("a",)))
+    past = Earlier(known).past(snapshot(0.0, ("a",)))
     assert past.ids == ("a", "gone")
     assert past.seen[:, 0].all()
     np.testing.assert_array_equal(past.seen[:, 1], past.t < -0.55)
@@ -109,11 +109,11 @@ def test_an_agent_that_is_gone_is_last_and_not_seen_any_more() -> None:
 
 def test_frames_between_the_steps_are_moved_and_later_ones_are_not_used() -> None:
     """A step between two frames is the earlier one, moved."""
-    known = tuple(moment(t) for t in (-0.75, -0.5, -0.25))
-    wild = replace(moment(0.0), agents=agents_at(50.0, ("a", "b")))
+    known = tuple(snapshot(t) for t in (-0.75, -0.5, -0.25))
+    wild = replace(snapshot(0.0), agents=agents_at(50.0, ("a", "b")))
     past = Earlier(known).past(wild)
-    np.testing.assert_allclose(past.x[-1], moment(-0.1).agents.x)
-    np.testing.assert_allclose(past.x[-3], moment(-0.3).agents.x)
+    np.testing.assert_allclose(past.x[-1], snapshot(-0.1).agents.x)
+    np.testing.assert_allclose(past.x[-3], snapshot(-0.3).agents.x)
 
 
 @pytest.mark.parametrize("loop", [DEFAULT_LOOP, LoopConfig(plan_period_s=0.2)])
@@ -162,10 +162,10 @@ def test_the_past_moves_with_the_world(angle: float, is_mirrored: bool) -> None:
     part = cut(LOG, 3.0)
     turned = moved(mirrored(part) if is_mirrored else part, 5.0, -3.0, angle)
     (frame,), (again,) = frames_of(part, [0.0]), frames_of(turned, [0.0])
-    for one, two in zip(frame.past.ego, again.past.ego, strict=True):
-        way = np.hypot(one.x - frame.ego.x, one.y - frame.ego.y)
-        assert np.hypot(two.x - again.ego.x, two.y - again.ego.y) == pytest.approx(way)
-        assert two.v == one.v
+    for before, after in zip(frame.past.ego, again.past.ego, strict=True):
+        way = np.hypot(before.x - frame.ego.x, before.y - frame.ego.y)
+        assert np.hypot(after.x - again.ego.x, after.y - again.ego.y) == pytest.approx(way)
+        assert after.v == before.v
 
 
 class Remembering:
@@ -201,7 +201,7 @@ def test_a_drive_from_the_middle_begins_with_a_real_past(mode: Mode) -> None:
 
 
 def test_a_frame_made_by_hand_has_a_past() -> None:
-    now = moment(0.0)
+    now = snapshot(0.0)
     none = np.empty((0, 1))
     futures = Predictions(np.zeros(1), np.empty(0, int), np.empty(0), none, none, none, "")
     frame = Frame(0.0, now.ego, now.agents, futures)

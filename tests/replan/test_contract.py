@@ -44,6 +44,25 @@ def test_a_planner_is_named_a_class_or_a_function(few: list[Scenario]) -> None:
             replan.check_planner(spec)
 
 
+def test_a_planner_with_the_past_of_its_frames_has_no_memory(few: list[Scenario]) -> None:
+    replan.check_planner(contract_breakers.ReadsPast, scenarios=[*few, cut(few[0], 3.0)])
+
+
+@pytest.mark.parametrize(
+    ("planner", "rule"),
+    [
+        (contract_breakers.RemembersAgents, "memory"),
+        (contract_breakers.ReadsPastUnasked, "answer"),
+    ],
+)
+def test_a_past_that_is_kept_or_not_asked_for_breaks_a_rule(
+    planner: type[ConstantSpeed], rule: str, few: list[Scenario]
+) -> None:
+    with pytest.raises(replan.ContractError) as found:
+        replan.check_planner(planner, scenarios=few)
+    assert found.value.broken == (rule,)
+
+
 @pytest.mark.parametrize("planner", ["follower:Follower", "net_planner:Net"])
 def test_the_examples_keep_the_contract_of_planners(
     planner: str, monkeypatch: pytest.MonkeyPatch

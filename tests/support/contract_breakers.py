@@ -8,11 +8,13 @@ from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from typing import Self
+from zlib import crc32
 
 import numpy as np
 import pandas as pd
 
 from replan.core.errors import LogError
+from replan.logs.agents import Agents
 from replan.logs.frame import Frame, PlannerContext
 from replan.logs.plan import Plan, PlanStatus
 from replan.logs.readers import LogSettings, Reader
@@ -94,6 +96,41 @@ class Memory(ConstantSpeed):
 
     def plan(self, frame: Frame) -> Plan:
         return Plan(arc(replace(frame.ego, kappa=1e-6 * next(self._frames)), frame.t + AHEAD))
+
+
+class RemembersAgents(ConstantSpeed):
+    """Keeps the agents of the last 2 s, and bends its path by them."""
+
+    def __init__(self, context: PlannerContext) -> None:
+        super().__init__(context)
+        self._agents: list[tuple[float, Agents]] = []
+
+    def plan(self, frame: Frame) -> Plan:
+        self._agents = [(t, agents) for t, agents in self._agents if t > frame.t - 2.0]
+        moved = sum(float(agents.x.sum()) for _, agents in self._agents)
+        self._agents.append((frame.t, frame.agents))
+        return Plan(arc(replace(frame.ego, kappa=1e-8 * moved), frame.t + AHEAD))
+
+
+class ReadsPast(ConstantSpeed):
+    """Bends its path by all bits of its past; keeps nothing itself."""
+
+    past_s = 2.1
+
+    def plan(self, frame: Frame) -> Plan:
+        past = frame.past
+        columns = (past.t, past.x, past.y, past.yaw, past.vx, past.vy, past.length, past.seen)
+        described = repr((past.ego, past.ids, past.kinds, past.lights)).encode()
+        bits = crc32(described + b"".join(column.tobytes() for column in columns))
+        return Plan(arc(replace(frame.ego, kappa=1e-5 * bits / 2**32), frame.t + AHEAD))
+
+
+class ReadsPastOfMap(ReadsPast):
+    coordinates = "map"
+
+
+class ReadsPastUnasked(ReadsPast):
+    past_s = 0.0
 
 
 class Future(ConstantSpeed):

@@ -126,14 +126,14 @@ def write_sections(knots: FloatArray, table: FloatArray, s: FloatArray, out: Flo
             out[columns - 1, j] = 0.0
 
 
-class Edge(NamedTuple):
+class LaneEdge(NamedTuple):
     """The edge of a lane: its offsets `(n,)`, m, and whether it may be crossed."""
 
     l: FloatArray
     crossable: bool
 
 
-Across = tuple[Edge, Edge]
+Across = tuple[LaneEdge, LaneEdge]
 """The edges of a lane, in the order in which one meets them from right to left."""
 
 
@@ -151,10 +151,10 @@ def make_reference_path(
     own, against = list[Across](), list[Across]()
     for number, (left, right) in extents.items():
         lane = road.lanes[number]
-        own.append((Edge(right, lane.right_crossable), Edge(left, lane.left_crossable)))
+        own.append((LaneEdge(right, lane.right_crossable), LaneEdge(left, lane.left_crossable)))
     for number, (left, right) in _lane_extents(road, line, opposite=True).items():
         lane = road.lanes[number]
-        against.append((Edge(left, lane.left_crossable), Edge(right, lane.right_crossable)))
+        against.append((LaneEdge(left, lane.left_crossable), LaneEdge(right, lane.right_crossable)))
     road_left, road_right = lane_left, -lane_right
     for _ in range(LANES_BESIDE):
         road_left = _one_lane_further(road_left, own)
@@ -260,7 +260,8 @@ def _own_lane(
 def _mirrored(lanes: list[Across]) -> list[Across]:
     """The lanes as they are from left to right, with offsets positive to the right."""
     return [
-        (Edge(-last.l, last.crossable), Edge(-first.l, first.crossable)) for first, last in lanes
+        (LaneEdge(-last.l, last.crossable), LaneEdge(-first.l, first.crossable))
+        for first, last in lanes
     ]
 
 

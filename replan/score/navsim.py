@@ -29,31 +29,13 @@ The boxes that are judged have the size of nuPlan's car (`NUPLAN_CAR`), as in th
 the log's car is. Human filter: a part in which the log's driver, tracked alike, has 0 is 1; their
 EP, HC and EC are never 0. Before 2025-09-29 the filter changed the columns but not the score ("old
 filter").
-
-NAVSIM drives a plan by nuPlan's two-stage LQR and a kinematic bicycle with lags, at 10 Hz. The
-tracker knows a plan's poses alone. It fits speeds v_k and curvatures kappa_k to the displacements
-d_k and turns theta_k between them, h = `STEP_S`:
-
-(1) d_k = h v_k (cos yaw_k, sin yaw_k),   v_k = v_0 + h (a_0 + ... + a_(k-1))
-    least squares + `JERK_PENALTY` (a_0^2 + ... + a_(n-4)^2 + (a_(n-2) - a_(n-3))^2):
-        meant are the differences of all, but the original's -1 overwrite its +1 except in the last
-        row
-(2) theta_k = h v_k kappa_k,   kappa_k = kappa_0 + h (c_0 + ...)
-    least squares + `CURVATURE_PENALTY` sum of c_k^2 + 1e-10 kappa_0^2
-
-Then, as in `replan.planners.pdm.lqr_tracker` (1), (2) with those v and kappa, and its (3) with the
-Euler rule: positions, heading and steering move with the speed, heading and steering before the
-step. NAVSIM's tracker has the wheelbase of nuPlan's car (`NUPLAN_WHEELBASE_M`) whatever the car is.
-
-Source: autonomousvision/navsim 0a380a90, planner/pdm_planner/simulation (Apache-2.0; formulae
-only).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from math import atan2, cos, hypot, pi, prod, sin, tan
+from math import cos, hypot, prod, sin
 from types import MappingProxyType
 
 import numpy as np
@@ -65,21 +47,11 @@ from replan.logs.polylines import along_line
 from replan.logs.road import RoadSource
 from replan.logs.scenario import Scenario
 from replan.logs.shapes import overlap
-from replan.logs.states import wrapped
 from replan.metrics.boxes import BEHIND, NO_TTC_MPS, STANDING_MPS, EgoOutline
 from replan.metrics.comfort import savgol
 from replan.metrics.devkit_lanes import DevkitLanes, devkit_lanes
 from replan.metrics.nuplan_closed_loop import AHEAD, comfort_signals, comfortable, corners_of
-from replan.planners.pdm.lqr_tracker import (
-    ACCEL_LAG_S,
-    AHEAD as STEPS_AHEAD,
-    Q_HEADING,
-    Q_OFFSET,
-    Q_SPEED,
-    STEER_LAG_S,
-    STOPPING_GAIN,
-    STOPPING_MPS,
-)
+from replan.score.navsim_tracker import LATERAL, STEP_S, TURN, TURN_RATE, YAW, A, V, X, Y, simulated
 from replan.score.window import (
     Polyline,
     RoadblockRoute,
@@ -90,36 +62,52 @@ from replan.score.window import (
     route_of,
 )
 
-HORIZON_S, PAST_S = 4.0, 1.5
-STEP_S, POSE_S, POSES = 0.1, 0.5, 8
-LEAST_WAY_M = 5.0
+HORIZON_S = 4.0  # Length of a plan, s
+PAST_S = 1.5  # Length of the recorded past, s
+POSE_S = 0.5  # Time between the poses of a plan, s
+POSES = 8  # Number of poses of a plan
+LEAST_WAY_M = 5.0  # EP is 1 where no way is longer than this, m
 STEPS = round(HORIZON_S / STEP_S) + 1
 NUPLAN_CAR = EgoOutline(1.461, 5.176, 2.297, 1.461 + 0.5 * 5.176)
 """The Pacifica of nuPlan: rear axle to centre, length, width, rear axle to front, m."""
-CARRIED = (0, 3, 6, 9)
-KEEPING_M, KEEPING_STEPS, AGAINST_M = 0.5, 20, (2.0, 6.0)
-EC_BOUNDS = (0.7, 0.5, 0.1, 0.1)
+CARRIED = (0, 3, 6, 9)  # Steps for which TTC moves the ego on
+KEEPING_M = 0.5  # Largest offset of LK, m
+KEEPING_STEPS = 20  # States in a row beyond it that LK permits, less one
+AGAINST_STEPS = 10  # Steps of the span of DDC
+AGAINST_M = (2.0, 6.0)  # Ways off the route in it with which DDC is 1/2, and 0, m
+EC_BOUNDS = (0.7, 0.5, 0.1, 0.1)  # m/s2, m/s3, rad/s, rad/s2
 NO_LANES = "the log has no lanes: the scores of nuPlan and NAVSIM need them"
 
 
 @dataclass(frozen=True)
 class Version:
-    """What a version of NAVSIM does."""
+    """What a version of NAVSIM does.
 
-    columns: Mapping[str, str]  # The original's column of each part, in its order
-    multipliers: tuple[str, ...]  # Parts that multiply the weighted mean; `weights` by part
+    Attributes:
+        columns: The original's column of each part, in its order.
+        multipliers: Parts that multiply the weighted mean.
+        weights: Weights in the mean, by part.
+        filters: Whether the human filter changes the columns.
+        scores_filtered: Whether it changes the score, too.
+        masks: Whether EP is that after the own multipliers.
+        drops: Whether agents that touch the ego at the start are left out.
+        seen_s: For how long others are seen, s.
+        ttc_steps: Number of states that TTC looks at.
+        past: Whether comfort begins with the recorded past, and is that of the centre.
+        windows: Filters of acceleration and jerk
+            (`replan.metrics.nuplan_closed_loop.comfort_signals`).
+    """
+
+    columns: Mapping[str, str]
+    multipliers: tuple[str, ...]
     weights: Mapping[str, float]
-    # Whether the human filter changes the columns; `scores_filtered` whether it changes the score,
-    # too
     filters: bool
     scores_filtered: bool
-    masks: bool  # Whether EP is that after the own multipliers
-    drops: bool  # Whether agents that touch the ego at the start are left out
-    # For how long others are seen, s; `ttc_steps` is the number of states that TTC looks at
+    masks: bool
+    drops: bool
     seen_s: float
     ttc_steps: int
-    past: bool  # Whether comfort begins with the recorded past, and is that of the centre
-    # Filters of acceleration and jerk (`replan.metrics.nuplan_closed_loop.comfort_signals`)
+    past: bool
     windows: tuple[int, int]
 
 
@@ -282,7 +270,7 @@ def judged(
     )
     lost = ~center[sorted(ground.route.lanes)].any(axis=0) & ~crossing
     moved = np.r_[0.0, np.hypot(np.diff(x), np.diff(y))] * lost
-    worst = max(moved[max(0, k - 10) : k + 1].sum() for k in range(n))
+    worst = max(moved[max(0, k - AGAINST_STEPS) : k + 1].sum() for k in range(n))
     touched = any(
         box_on_polygon(x[k], y[k], yaw[k], car.length, car.width, lanes.lanes[i].polygon) == 0.0
         for k in range(n)
@@ -426,86 +414,3 @@ def extended_comfort(now: FloatArray, before: FloatArray, steps: int) -> float:
     differences = zip(features(now[:-steps]), features(before[steps:]), strict=True)
     rms = [np.sqrt(np.mean((current - previous) ** 2)) for current, previous in differences]
     return float(all(size <= bound for size, bound in zip(rms, EC_BOUNDS, strict=True)))
-
-
-JERK_PENALTY, CURVATURE_PENALTY, FIRST_PENALTY = 1e-4, 1e-2, 1e-10
-MAX_STEER, NUPLAN_WHEELBASE_M = pi / 3.0, 3.089
-X, Y, YAW, V, A, LATERAL, STEER, TURN, TURN_RATE = range(9)
-"""Columns of a state: rear axle, speed, acceleration, lateral acceleration, steering angle, yaw
-rate and its rate.
-"""
-
-
-def fitted(poses: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the speeds (1) and curvatures (2) `(n - 1,)` of poses x, y, yaw `(n, 3)`."""
-    moved, turned = np.diff(poses[:, :2], axis=0), wrapped(np.diff(poses[:, 2]))
-    m, h = len(moved), STEP_S
-    ahead = np.column_stack([np.cos(poses[:-1, 2]), np.sin(poses[:-1, 2])]).reshape(-1, 1)
-    lower = np.repeat(np.tri(m), 2, axis=0)
-    design = ahead * lower * np.r_[h, np.full(m - 1, h * h)]
-    penalty = np.zeros((m - 2, m))
-    penalty[:, 2:] = np.eye(m - 2)
-    penalty[:, 1:-1] = -np.eye(m - 2)  # over the ones of the line above, as in the devkit
-    normal = np.linalg.pinv(design.T @ design + JERK_PENALTY * penalty.T @ penalty)
-    solution = normal @ design.T @ moved.reshape(-1)
-    speed = solution[0] + np.r_[0.0, np.cumsum(solution[1:] * h)]
-    design = np.tri(m)
-    design[:, 0] = speed * h
-    design[1:, 1:] *= (speed * h * h)[1:, None]
-    weights = np.full(m, CURVATURE_PENALTY)
-    weights[0] = FIRST_PENALTY
-    solution = np.linalg.pinv(design.T @ design + np.diag(weights)) @ design.T @ turned
-    return speed, solution[0] + np.r_[0.0, np.cumsum(solution[1:] * h)]
-
-
-def simulated(poses: FloatArray, start: FloatArray, wheelbase: float) -> FloatArray:
-    """Return the states `(n, 9)` of the car that follows poses `(n, 3)` from the state `start`
-    `(9,)`.
-    """
-    speed, kappa = fitted(poses)
-    return _follow(np.ascontiguousarray(poses), speed, kappa, start, wheelbase)
-
-
-@kernel
-def _follow(
-    poses: FloatArray, speed: FloatArray, kappa: FloatArray, start: FloatArray, wheelbase: float
-) -> FloatArray:
-    states, last, h = np.zeros((len(poses), 9)), len(speed) - 1, STEP_S
-    states[0] = start
-    for k in range(len(poses) - 1):
-        x, y, yaw = states[k, X], states[k, Y], states[k, YAW]
-        v, a, steer = states[k, V], states[k, A], states[k, STEER]
-        ahead = min(k + STEPS_AHEAD, last)
-        if speed[ahead] <= STOPPING_MPS and v <= STOPPING_MPS:
-            accel, rate = STOPPING_GAIN * (speed[ahead] - v), 0.0
-        else:
-            span = h * STEPS_AHEAD
-            accel = span * Q_SPEED * (speed[ahead] - v) / (span * span * Q_SPEED + 1.0)
-            e = (y - poses[k, 1]) * cos(poses[k, 2]) - (x - poses[k, 0]) * sin(poses[k, 2])
-            psi = atan2(sin(yaw - poses[k, 2]), cos(yaw - poses[k, 2]))
-            e1, psi1, steer1 = 0.0, 0.0, 0.0
-            for i in range(STEPS_AHEAD):
-                moved = h * (v + i * h * accel)
-                e, psi = (
-                    e + moved * psi,
-                    psi + moved * (steer / NUPLAN_WHEELBASE_M - kappa[min(k + i, ahead)]),
-                )
-                e1, psi1, steer1 = (
-                    e1 + moved * psi1,
-                    psi1 + moved * steer1 / NUPLAN_WHEELBASE_M,
-                    steer1 + h,
-                )
-            psi = atan2(sin(psi), cos(psi))
-            rate = -(Q_OFFSET * e1 * e + Q_HEADING * psi1 * psi) / (
-                Q_OFFSET * e1**2 + Q_HEADING * psi1**2 + 1.0
-            )
-        states[k + 1, X], states[k + 1, Y] = x + h * v * cos(yaw), y + h * v * sin(yaw)
-        states[k + 1, YAW] = yaw + h * v * tan(steer) / wheelbase
-        states[k + 1, A] = a + h / (h + ACCEL_LAG_S) * (accel - a)
-        states[k + 1, V] = v + h * states[k + 1, A]
-        states[k + 1, STEER] = min(
-            max(steer + h / (h + STEER_LAG_S) * h * rate, -MAX_STEER), MAX_STEER
-        )
-        states[k + 1, TURN] = states[k + 1, V] * tan(states[k + 1, STEER]) / wheelbase
-        states[k + 1, TURN_RATE] = (states[k + 1, TURN] - states[k, TURN]) / h
-    return states

@@ -30,13 +30,9 @@ from replan.metrics.boxes import EgoOutline, car_of
 from replan.planners.pdm.planner import PdmConfig
 from replan.score.navsim import (
     POSE_S,
-    STEP_S,
     STEPS,
     ScoredWindow,
-    V,
     Version,
-    X,
-    Y,
     driven,
     extended_comfort,
     history_comfort,
@@ -44,8 +40,8 @@ from replan.score.navsim import (
     judged,
     multiplied,
     progress,
-    simulated,
 )
+from replan.score.navsim_tracker import STEP_S, V, X, Y, simulated
 from replan.score.window import (
     Polyline,
     WindowAgents,

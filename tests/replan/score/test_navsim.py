@@ -19,7 +19,8 @@ from replan.logs.rules import Colour, TrafficLight
 from replan.logs.scenario import Scenario
 from replan.replay.loop.open_loop import run_open_loop
 from replan.replay.loop_config import DEFAULT_LOOP
-from replan.score.navsim import VERSIONS, fitted, human_poses, simulated, window_at
+from replan.score.navsim import VERSIONS, human_poses, window_at
+from replan.score.navsim_tracker import fitted, simulated
 from replan.score.submitted_plans import plans_of_trace
 from replan.score.yardstick import ScoredPlan, scored, total
 

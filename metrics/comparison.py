@@ -22,7 +22,7 @@ value changed by no more than noise, or if the baseline's ensemble found the dri
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -93,17 +93,27 @@ frame, and the colours of the lights, as text.
 
 @dataclass(frozen=True, eq=False)
 class Side:
-    """One of two runs."""
+    """One of two runs.
+
+    Attributes:
+        label: Its name for the user.
+        table: Rows of `replan.metrics.evaluate`, reference drives among them.
+        logs: A row per log: log, sha256, family, dataset, tags (a list), vehicle (a hash; "" if
+            unknown).
+        facts: Versions and all keys of the configuration of the run, as text.
+        failed: Reason by log, for logs that could not be evaluated.
+        crashed: Drives (log, planner, mode) in which the planner failed; the table holds their
+            beginning.
+        metrics: "module:NAME" of the user's metrics.
+    """
 
     label: str
-    table: pd.DataFrame  # Rows of `replan.metrics.evaluate`, reference drives among them
-    # A row per log: log, sha256, family, dataset, tags (a list), vehicle (a hash; "" if unknown)
+    table: pd.DataFrame
     logs: pd.DataFrame
-    facts: Mapping[str, str]  # Versions and all keys of the configuration of the run, as text
-    failed: Mapping[str, str]  # Reason by log, for logs that could not be evaluated
-    # Drives (log, planner, mode) in which the planner failed; the table holds their beginning
+    facts: Mapping[str, str]
+    failed: Mapping[str, str]
     crashed: tuple[tuple[str, str, str], ...] = ()
-    metrics: tuple[str, ...] = ()  # "module:NAME" of the user's metrics
+    metrics: tuple[str, ...] = ()
 
     @property
     def labels(self) -> dict[str, LogLabels]:
@@ -133,33 +143,45 @@ class RuleVerdict:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Two runs, compared."""
+    """Two runs, compared.
 
-    baseline: str  # Label of the baseline; `candidate` likewise
+    Attributes:
+        baseline: Label of the baseline; `candidate` likewise.
+        differences: Inputs that differ, one sentence each.
+        only_in_baseline: Drives "log, planner, mode loop" that only the baseline has, or that
+            failed only in the candidate; `only_in_candidate` likewise.
+        pairs: `PAIR_COLUMNS`, the worst regression first: metrics that a gate or rule names, by
+            (3), then the others. A value that one of the runs lacks is NaN, and `reason` says why;
+            otherwise `reason` is that of the candidate's value.
+        flips: `FLIP_COLUMNS`: gates whose outcome on a log changed.
+        groups: `GROUP_COLUMNS`: means over the suite, its families, tags and datasets.
+        partings: `PARTING_COLUMNS`: first differences of two drives; empty without traces.
+        verdicts: The verdicts of the rules.
+        not_looked_at: Number of differing drives whose first difference was not searched.
+        equal_drives: Number of drives with the same states, commands and plans, in bits.
+        unpaired: Command that pairs planners of other names.
+        not_compared: Metrics of gates or rules that the baseline has in another version, or that
+            only the baseline has.
+        other_logs: Logs whose content (SHA-256) differs between the two runs.
+    """
+
+    baseline: str
     candidate: str
-    differences: tuple[str, ...]  # Inputs that differ, one sentence each
-    # Drives "log, planner, mode loop" that only the baseline has, or that failed only in the
-    # candidate; `only_in_candidate` likewise
+    differences: tuple[str, ...]
     only_in_baseline: tuple[str, ...]
     only_in_candidate: tuple[str, ...]
-    # `PAIR_COLUMNS`, the worst regression first: metrics that a gate or rule names, by (3), then
-    # the others. A value that one of the runs lacks is NaN, and `reason` says why; otherwise
-    # `reason` is that of the candidate's value.
     pairs: pd.DataFrame
-    flips: pd.DataFrame  # `FLIP_COLUMNS`: gates whose outcome on a log changed
-    groups: pd.DataFrame  # `GROUP_COLUMNS`: means over the suite, its families, tags and datasets
-    # `PARTING_COLUMNS`: first differences of two drives; empty without traces
+    flips: pd.DataFrame
+    groups: pd.DataFrame
     partings: pd.DataFrame = field(
         default_factory=lambda: pd.DataFrame(columns=list(PARTING_COLUMNS))
     )
     verdicts: tuple[RuleVerdict, ...] = ()
-    not_looked_at: int = 0  # Number of differing drives whose first difference was not searched
-    equal_drives: int = 0  # Number of drives with the same states, commands and plans, in bits
-    unpaired: str = ""  # Command that pairs planners of other names
-    # Metrics of gates or rules that the baseline has in another version, or that only the baseline
-    # has
+    not_looked_at: int = 0
+    equal_drives: int = 0
+    unpaired: str = ""
     not_compared: tuple[str, ...] = ()
-    other_logs: tuple[str, ...] = ()  # Logs whose content (SHA-256) differs between the two runs
+    other_logs: tuple[str, ...] = ()
 
     @property
     def exit_code(self) -> int:
@@ -212,12 +234,14 @@ def compare(
 
     `also` are the metrics of rules; like those of gates, they come first among the regressions.
     """
-    tables = baseline.table, candidate.table
-    before, now = (dict(zip(table["metric"], table["version"], strict=True)) for table in tables)
+    before, now = (
+        dict(zip(side.table["metric"], side.table["version"], strict=True))
+        for side in (baseline, candidate)
+    )
     changed = {
-        name: f"{before[name]} -> {now[name]}"
-        for name in before
-        if name in now and before[name] != now[name]
+        name: f"{version} -> {now[name]}"
+        for name, version in before.items()
+        if name in now and version != now[name]
     }
     alone = set(baseline.driven["metric"]) ^ set(candidate.driven["metric"])
     valued = set(baseline.driven.loc[baseline.driven["available"].astype(bool), "metric"])
@@ -225,60 +249,58 @@ def compare(
     fragile = pd.MultiIndex.from_frame(ensemble.loc[ensemble["value"] > 0.0, DRIVE])
     bounds = dict.fromkeys(also, 0.0)
     for gate in gates.gates:
-        bounds[gate.metric] = max(
-            bounds.get(gate.metric, 0.0), abs(gate.min or 0.0), abs(gate.max or 0.0)
-        )
+        known = bounds.get(gate.metric, 0.0)
+        bounds[gate.metric] = max(known, abs(gate.min or 0.0), abs(gate.max or 0.0))
     pairs = _pairs(baseline.driven, candidate.driven, changed, bounds)
     pairs["fragile"] = pd.MultiIndex.from_frame(pairs[DRIVE]).isin(fragile)
     flips = _flips(baseline, candidate, gates, changed.keys() | alone)
     flips["marginal"] |= pd.MultiIndex.from_frame(flips[DRIVE]).isin(fragile)
-    old_facts, new_facts = baseline.facts, candidate.facts
-    other_logs = _differing_logs(baseline, candidate, "sha256")
-    differences = [
-        f"{key}: {old_facts[key]} -> {new_facts[key]}"
-        for key in old_facts
-        if key in new_facts and old_facts[key] != new_facts[key]
-    ]
-    if other_logs:
-        contents = [
-            f"{log} ({old_digest[:8]} -> {new_digest[:8]})"
-            for log, (old_digest, new_digest) in other_logs.items()
-        ]
-        title = "logs of one name with other content (SHA-256)"
-        differences.insert(0, f"{title}: {listed(contents, NAMED)}")
-    metrics = [list(dict.fromkeys(side.driven["metric"])) for side in (baseline, candidate)]
-    for title, names in (
-        ("settings of the baseline only", [key for key in old_facts if key not in new_facts]),
-        ("settings of the candidate only", [key for key in new_facts if key not in old_facts]),
-        ("logs with another vehicle", list(_differing_logs(baseline, candidate, "vehicle"))),
-        (
-            "metrics of another version, not compared",
-            [f"{name} ({both})" for name, both in changed.items()],
-        ),
-        ("metrics in the baseline only", [name for name in metrics[0] if name not in metrics[1]]),
-        ("metrics in the candidate only", [name for name in metrics[1] if name not in metrics[0]]),
-    ):
-        if names:
-            differences.append(f"{title}: {listed(names, NAMED)}")
     return Comparison(
         baseline.label,
         candidate.label,
-        tuple(differences),
+        tuple(_differences(baseline, candidate, changed)),
         _missing_drives(baseline, candidate),
         _missing_drives(candidate, baseline),
         pairs,
         flips,
         group_deltas(pairs, candidate.labels),
         not_compared=tuple(sorted(bounds.keys() & (changed.keys() | alone & valued))),
-        other_logs=tuple(other_logs),
+        other_logs=tuple(_differing_logs(baseline, candidate, "sha256")),
     )
+
+
+def _differences(baseline: Side, candidate: Side, changed: Mapping[str, str]) -> Iterator[str]:
+    """Yield the inputs that differ, one sentence each; `changed`: versions of metrics, by name."""
+    old, new = baseline.facts, candidate.facts
+    contents = [
+        f"{log} ({before[:8]} -> {now[:8]})"
+        for log, (before, now) in _differing_logs(baseline, candidate, "sha256").items()
+    ]
+    if contents:
+        yield f"logs of one name with other content (SHA-256): {listed(contents, NAMED)}"
+    for key, fact in old.items():
+        if key in new and fact != new[key]:
+            yield f"{key}: {fact} -> {new[key]}"
+    metrics, metrics_now = (dict.fromkeys(side.driven["metric"]) for side in (baseline, candidate))
+    for title, names in {
+        "settings of the baseline only": [key for key in old if key not in new],
+        "settings of the candidate only": [key for key in new if key not in old],
+        "logs with another vehicle": list(_differing_logs(baseline, candidate, "vehicle")),
+        "metrics of another version, not compared": [
+            f"{name} ({versions})" for name, versions in changed.items()
+        ],
+        "metrics in the baseline only": [name for name in metrics if name not in metrics_now],
+        "metrics in the candidate only": [name for name in metrics_now if name not in metrics],
+    }.items():
+        if names:
+            yield f"{title}: {listed(names, NAMED)}"
 
 
 def _missing_drives(side: Side, other: Side) -> tuple[str, ...]:
     """Return the drives that only the first run has, or that failed only in the second."""
     driven, failed = set(other.drives), set(other.crashed) - set(side.crashed)
     return tuple(
-        f"{drive[0]}, {drive[1]}, {drive[2]} loop{' (failed)' if drive in driven else ''}"
+        f"{', '.join(drive)} loop{' (failed)' if drive in driven else ''}"
         for drive in side.drives
         if drive not in driven or drive in failed
     )
@@ -300,7 +322,7 @@ def _pairs(
     before, now = both["value_b"].to_numpy(float), both["value_c"].to_numpy(float)
     delta = np.where(noise(before, now), 0.0, now - before)  # (1)
     sign = both["direction_c"].map({"lower": 1.0, "higher": -1.0}).to_numpy(float)
-    available = [both[name].to_numpy(bool) for name in ("available_b", "available_c")]
+    had, has = (both[name].to_numpy(bool) for name in ("available_b", "available_c"))
     lost = "only in the baseline; candidate: " + both["reason_c"].astype(object)
     new = "only in the candidate; baseline: " + both["reason_b"].astype(object)
     pairs = both[KEYS].assign(
@@ -313,17 +335,11 @@ def _pairs(
         asked=both["metric"].isin(list(bounds)),
         fragile=False,
         time_s=both["time_s_c"].fillna(both["time_s_b"]),
-        reason=np.select(
-            [available[0] & available[1], available[1]], [both["reason_c"], new], lost
-        ),
+        reason=np.select([had & has, has], [both["reason_c"], new], lost),
     )
-    size = (
-        pairs[["baseline", "candidate"]].abs().mean(axis=1).groupby([pairs[key] for key in SCORE])
-    )
-    scale = np.maximum(
-        size.transform("mean").to_numpy(float),
-        pairs["metric"].map(bounds).fillna(0.0).to_numpy(float),
-    )
+    size = pairs[["baseline", "candidate"]].abs().mean(axis=1)
+    mean_size = size.groupby([pairs[key] for key in SCORE]).transform("mean").to_numpy(float)
+    scale = np.maximum(mean_size, pairs["metric"].map(bounds).fillna(0.0).to_numpy(float))
     pairs["relative"] = pairs["worse"] / np.where(scale > 0.0, scale, np.nan)  # (3)
     order = pairs.assign(hurts=pairs["worse"] > 0.0).sort_values(
         ["hurts", "asked", "relative", *KEYS],
@@ -356,53 +372,41 @@ def _flips(
         tuple(g for g in gates.gates if g.over in BY_LOG and g.metric not in left_out), gates.source
     )
     metric = {str(gate): gate.metric for gate in rules.gates}
-    judged = []  # by run: outcomes by log, planner, mode and gate
-    for side in (baseline, candidate):  # uses the reference drives of the candidate, if it has any
-        references = candidate.table[
-            (candidate.table["mode"] == REFERENCE) & candidate.table["log"].isin(side.logs["log"])
-        ]
-        own = side.table[
-            (side.table["mode"] != REFERENCE) | ~side.table["log"].isin(references["log"])
-        ]
-        table = outcomes(
-            judge(
-                rules,
-                pd.concat([own, references], ignore_index=True),
-                side.labels,
-                failed=side.failed,
-            )
-        )
-        fields = table[[*DRIVE, "gate", *_LogOutcome._fields]].itertuples(index=False, name=None)
-        judged.append({row[:4]: _LogOutcome(*row[4:]) for row in fields})
-    old, new = judged
+    old, new = (_outcomes(side, candidate, rules) for side in (baseline, candidate))
     both, rows = {*baseline.drives} & {*candidate.drives}, []
     for key in dict.fromkeys([*old, *new]):
+        *drive, gate = key
         before, now = old.get(key, _LogOutcome()), new.get(key, _LogOutcome())
         change = {before.outcome, now.outcome}
-        if (
-            key[:3] not in both
-            or len(change) == 1
-            or change == {Outcome.NOT_ASKED.value, Outcome.PASS.value}
-        ):
+        is_flip = len(change) == 2 and change != {Outcome.NOT_ASKED.value, Outcome.PASS.value}
+        if not is_flip or tuple(drive) not in both:
             continue
         marginal = bool(noise(np.array(before.value), np.array(now.value)))
         when = now.time_s if np.isfinite(now.time_s) else before.time_s
-        *_, gate = key
-        rows.append(
-            (
-                *key,
-                metric[gate],
-                before.outcome,
-                now.outcome,
-                before.value,
-                now.value,
-                when,
-                now.reason or before.reason,
-                marginal,
-            )
-        )
+        values = before.outcome, now.outcome, before.value, now.value
+        reason = now.reason or before.reason
+        rows.append((*key, metric[gate], *values, when, reason, marginal))
     kinds = {"value_before": float, "value_after": float, "time_s": float, "marginal": bool}
     return pd.DataFrame(rows, columns=list(FLIP_COLUMNS)).astype(kinds)
+
+
+def _outcomes(
+    side: Side, candidate: Side, rules: Gates
+) -> dict[tuple[str, str, str, str], _LogOutcome]:
+    """Return the outcomes of a run by log, planner, mode and gate.
+
+    The reference drives are those of the candidate, if it has any.
+    """
+    of_candidate, is_reference = candidate.table, side.table["mode"] == REFERENCE
+    references = of_candidate[
+        (of_candidate["mode"] == REFERENCE) & of_candidate["log"].isin(side.logs["log"])
+    ]
+    own = side.table[~is_reference | ~side.table["log"].isin(references["log"])]
+    rows = pd.concat([own, references], ignore_index=True)
+    table = outcomes(judge(rules, rows, side.labels, failed=side.failed))
+    keys = table[[*DRIVE, "gate"]].itertuples(index=False, name=None)
+    values = table[[*_LogOutcome._fields]].itertuples(index=False, name=None)
+    return {key: _LogOutcome(*row) for key, row in zip(keys, values, strict=True)}
 
 
 def _differing_logs(baseline: Side, candidate: Side, column: str) -> dict[str, tuple[str, str]]:
@@ -424,10 +428,8 @@ def group_deltas(pairs: pd.DataFrame, labels: Mapping[str, LogLabels]) -> pd.Dat
         if not (kind == SUITE or 1 < len(logs) < len(labels_of_logs)):
             continue
         rows = known[known["log"].isin(logs)]
-        groups = rows.assign(better=rows["worse"] < 0.0, worse=rows["worse"] > 0.0).groupby(
-            SCORE, sort=True
-        )
-        table = groups.agg(
+        counted = rows.assign(better=rows["worse"] < 0.0, worse=rows["worse"] > 0.0)
+        table = counted.groupby(SCORE, sort=True).agg(
             unit=("unit", "first"),
             direction=("direction", "first"),
             logs=("log", "size"),
@@ -437,10 +439,8 @@ def group_deltas(pairs: pd.DataFrame, labels: Mapping[str, LogLabels]) -> pd.Dat
             better=("better", "sum"),
             worse=("worse", "sum"),
         )
-        deltas = rows.pivot_table(index=SCORE, columns="log", values="delta", sort=True).loc[
-            table.index
-        ]
-        deltas = by_recording(deltas)
+        by_log = rows.pivot_table(index=SCORE, columns="log", values="delta", sort=True)
+        deltas = by_recording(by_log.loc[table.index])
         low, high = intervals(deltas.to_numpy(float))
         clear = significant(low, high, deltas.notna().sum(axis=1).to_numpy())
         table = table.assign(low=low, high=high, significant=clear).reset_index()

@@ -146,7 +146,7 @@ def _channels(*, foxglove: bool) -> Callable[[Scenario], Iterable[Entry]]:
     if not foxglove:
         return lambda scenario: ()
     from replan.draw.foxglove import scenario_messages
-    from replan.mine.mine import markers
+    from replan.mine.mined_log import markers
 
     return lambda scenario: scenario_messages(scenario, markers(scenario))
 

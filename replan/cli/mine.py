@@ -23,7 +23,7 @@ from replan.cli.options import log_table, option, run_config
 from replan.core.errors import ConfigError
 
 if TYPE_CHECKING:
-    from replan.mine.mine import MinedLog
+    from replan.mine.mined_log import MinedLog
 
 Mined = Annotated[Path, typer.Argument(help="A folder that replan mine wrote.", metavar="RUN")]
 Run = Annotated[

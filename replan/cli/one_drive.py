@@ -223,7 +223,7 @@ def _files(
     from replan.draw.drawn_results import load
     from replan.draw.view import choose_pair, save_log, save_pair, to_open
     from replan.logs.readers import reader_of
-    from replan.mine.mine import markers
+    from replan.mine.mined_log import markers
 
     for target in targets:
         check_named(target)

@@ -17,7 +17,7 @@ from replan.draw.charts.axes import rows_plane
 from replan.draw.charts.chart import Chart
 from replan.draw.charts.layout import GAP_PX, together
 from replan.logs.catalogue import families
-from replan.mine.mine import ALONE, FASTER, ROADS, SPEEDS
+from replan.mine.mined_log import ALONE, FASTER, ROADS, SPEEDS
 from replan.results.tables import write_csv
 from replan.run.claim import FolderContents
 from replan.run.log_source import LogSource

@@ -72,12 +72,12 @@ from replan.replay.vehicle.tyres import (
     slip_for,
 )
 
-SLIP_MPS = 1.0
+SLIP_MPS = 1.0  # From this speed of a wheel on, its slip is not limited (5)
 SLIDING_MPS = 0.5
 """A vehicle with an axle that moves sideways faster than this is not at a standstill."""
-TURNOVER_MPS = 0.1
-REAR_BRAKE = 0.85
-STABLE = 1.25
+TURNOVER_MPS = 0.1  # Friction turns over within this speed of a wheel of a sliding vehicle
+REAR_BRAKE = 0.85  # Share of its load's part of the friction that the rear axle takes (7)
+STABLE = 1.25  # Longest sub-step times the trace of the lateral dynamics
 
 
 class SingleTrackState(NamedTuple):

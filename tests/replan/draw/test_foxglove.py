@@ -28,7 +28,7 @@ from replan.logs.catalogue import CATALOGUE
 from replan.logs.mcap import read_scenario, write_scenario, write_trace
 from replan.logs.scenario import Scenario
 from replan.logs.trace import kept_samples
-from replan.mine.mine import markers
+from replan.mine.mined_log import markers
 from replan.replay.loop.closed_loop import run_closed_loop
 
 needs_schemas = pytest.mark.skipif(

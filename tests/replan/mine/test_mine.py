@@ -20,7 +20,8 @@ from replan.logs.readers import read_log
 from replan.mine.coverage import CELL, cells_of, missing_cells
 from replan.mine.driven_log import Event, EventKind
 from replan.mine.event_page import MOST_OF_A_KIND, PAGE, PICTURES, picture_of
-from replan.mine.mine import EVENTS, HEALTH, LOGS, mine_log
+from replan.mine.mine import EVENTS, HEALTH, LOGS
+from replan.mine.mined_log import mine_log
 from replan.mine.suite import ChosenLog, smallest_cover, suite_writer
 from replan.results.tables import write_parquet
 from replan.run.sources import suite_file

@@ -70,10 +70,9 @@ def test_each_event_is_a_row_of_the_page_and_the_first_of_a_kind_have_a_picture(
     } == pictures
     for row in drawn.to_dict("records"):
         picture = ElementTree.parse(mined / picture_of(row, logs.loc[row["log"], "sha256"]))
-        pointed = [one for one in picture.iter() if one.get("class") == "wrong"]
-        assert len(pointed) <= len(row["agents"]) and (
-            pointed or row["kind"] not in ("cut_in", "pedestrian_crossing")
-        )
+        pointed = [item for item in picture.iter() if item.get("class") == "pointed_out"]
+        assert len(pointed) <= len(row["agents"])
+        assert pointed or row["kind"] not in ("cut_in", "pedestrian_crossing")
 
 
 def test_kinds_that_a_log_lacks_data_for_are_named(mined: Path) -> None:

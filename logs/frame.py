@@ -15,6 +15,7 @@ import numpy as np
 from replan.core.arrays import BoolArray, FloatArray, IntArray, frozen
 from replan.core.kernel import kernel
 from replan.logs.agents import Agents
+from replan.logs.lane_route import LaneRoute
 from replan.logs.past import NOTHING_EARLIER, Earlier, Past, Snapshot
 from replan.logs.plan import Plan
 from replan.logs.polylines import inside
@@ -168,6 +169,9 @@ class PlannerContext:
         origin: The point (0, 0) of the world in the coordinates of the log and its map, m: a point
             of a map of your own, minus this, is a point of the world
             (`replan.replay.planner_process.coordinates`).
+        route: The lanes to the goal; empty for built-in planners, which find their own.
+        light_lanes: The lanes that each light controls, by its id (`replan.logs.lane_groups`).
+        start_ns: Log time of t = 0, ns.
     """
 
     road: Road
@@ -178,3 +182,6 @@ class PlannerContext:
     lap: Callable[[str], None] = _no_clock
     horizon: float = PLAN_HORIZON_S
     origin: tuple[float, float] = (0.0, 0.0)
+    route: LaneRoute = field(default_factory=LaneRoute)
+    light_lanes: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
+    start_ns: int = 0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cached_property
 from itertools import chain
@@ -16,6 +16,7 @@ from replan.logs.polylines import bounds, inside, thinned
 from replan.logs.rules import Crosswalk, StopLine
 from replan.logs.shapes import corners
 
+NO_LINE = frozen(np.empty((0, 2)))
 IN_JUNCTION = "intersection"
 """The word of `Lane.kind` for a lane in an intersection."""
 
@@ -45,6 +46,9 @@ class Lane:
         kind: The log's words for the lane type ("urban", "crosswalk", ...), joined by +; with
             `IN_JUNCTION` the lane is in an intersection.
         yields_to: Lanes whose traffic has the right of way over this one (by sign or by side).
+        group: The map's group of lanes beside each other (nuPlan: roadblock); None: it has none
+            (`replan.logs.lane_groups`).
+        line: The centre line that the map has `(k, 2)`, world, m; empty: it has none.
     """
 
     id: int
@@ -61,9 +65,11 @@ class Lane:
     kind: str = "lane"
     right_opposite: bool = False
     yields_to: tuple[int, ...] = ()
+    group: int | None = None
+    line: Points = field(default_factory=lambda: NO_LINE)
 
     def __post_init__(self) -> None:
-        for name in ("left", "right"):
+        for name in ("left", "right", "line"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
         if self.left.shape != self.right.shape or self.left.ndim != 2 or len(self.left) < 2:
             raise ValueError(
@@ -123,8 +129,10 @@ class Road:
         default_speed_limit: Speed limit of lanes that have none, m/s.
         stop_lines: Lines at which lights and signs make a car stop.
         crosswalks: Areas in which pedestrians have the right of way.
-        areas: Other ground on which a car may drive (drivable areas, car parks), polygons `(k, 2)`;
-            only the scores of `replan.metrics.nuplan_closed_loop` and `replan.score` use it.
+        areas: Other ground on which a car may drive, polygons `(k, 2)`; like `car_parks` only for
+            the scores of `replan.metrics.nuplan_closed_loop` and `replan.score`, and for planners.
+        car_parks: Car parks, polygons `(k, 2)`.
+        intersections: Areas of intersections that the map has, polygons `(k, 2)`; planners only.
         route: Lanes of the route that the log names, in its order; empty: it names none.
         assumed_limits: Lanes whose speed limit is assumed, because the log states none.
         assumed_priority: Lanes that yield by assumption, because neither a sign nor a light gives
@@ -142,13 +150,17 @@ class Road:
     stop_lines: tuple[StopLine, ...] = ()
     crosswalks: tuple[Crosswalk, ...] = ()
     areas: tuple[Points, ...] = ()
+    car_parks: tuple[Points, ...] = ()
+    intersections: tuple[Points, ...] = ()
     route: tuple[int, ...] = ()
     assumed_limits: frozenset[int] = frozenset()
     assumed_priority: frozenset[int] = frozenset()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "lanes", MappingProxyType(dict(self.lanes)))
-        object.__setattr__(self, "areas", tuple(frozen(area) for area in self.areas))
+        for name in ("areas", "car_parks", "intersections"):
+            areas = tuple(frozen(area) for area in getattr(self, name))
+            object.__setattr__(self, name, areas)
         for line in self.stop_lines:
             if line.lane not in self.lanes:
                 raise ValueError(
@@ -157,6 +169,11 @@ class Road:
         for name, marks in (("stop lines", self.stop_lines), ("crosswalks", self.crosswalks)):
             if len({mark.id for mark in marks}) < len(marks):
                 raise ValueError(f"two {name} have the same id")
+
+    @property
+    def open_ground(self) -> tuple[Points, ...]:
+        """The ground beside the lanes on which a car may drive: car parks, then other areas."""
+        return (*self.car_parks, *self.areas)
 
     @cached_property
     def _boxes(self) -> tuple[tuple[Lane, ...], FloatArray]:

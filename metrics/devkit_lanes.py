@@ -1,10 +1,10 @@
 """The lanes of a road as the devkits of nuPlan and NAVSIM ask for them: lanes, connectors,
 roadblocks, intersections, routes.
 
-A connector is a lane in a junction: the log calls it "intersection" (`Lane.kind`), or, in a log
-that calls none so, it crosses another lane. The other drivable lanes are lanes. A roadblock is a
-set of lanes, or of connectors, that are neighbours in one direction. The intersections are the
-areas of the connectors. Lanes end where they end: none is extended beyond the map.
+A connector is a lane in a junction (`replan.logs.lane_groups`). The other drivable lanes are lanes.
+A roadblock is a set of lanes, or of connectors, that are neighbours in one direction. The
+intersections are the areas of the connectors. Lanes end where they end: none is extended beyond the
+map.
 
 A lane is an index into `DevkitLanes.lanes`. The route of poses is, at each, the lane or connectors
 under it (`route`): those of the pose before, their successors if there was one only, else a new
@@ -17,15 +17,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 
 from replan.core.arrays import BoolArray, FloatArray, Points
 from replan.core.once import once
 from replan.logs.lane_arrays import LaneArrays, lane_arrays
+from replan.logs.lane_groups import connectors
 from replan.logs.polylines import along_line, points_inside
-from replan.logs.road import IN_JUNCTION, Lane, Road
+from replan.logs.road import Lane, Road
 from replan.metrics.lanes import lane_distances
 
 NEAR_M = 5.0
@@ -182,42 +182,4 @@ def devkit_lanes(road: Road) -> DevkitLanes | None:
             break
         block = joined
     blocks = tuple(block.tolist())
-    return DevkitLanes(lanes, arrays, blocks, after, before, _connectors(lanes), road.areas)
-
-
-def _connectors(lanes: Sequence[Lane]) -> tuple[bool, ...]:
-    """Return which lanes are in a junction, as the log says.
-
-    Else those whose centre line crosses another's.
-    """
-    in_junction = [IN_JUNCTION in lane.kind.split("+") for lane in lanes]
-    if not any(in_junction):
-        for i, j in combinations(range(len(lanes)), 2):
-            if _cross(lanes[i].center, lanes[j].center):
-                in_junction[i] = in_junction[j] = True
-    return tuple(in_junction)
-
-
-def _cross(line: FloatArray, other: FloatArray) -> bool:
-    """Return whether one of the segments of a polyline `(n, 2)` properly crosses one of another's
-    `(m, 2)`.
-    """
-    starts, ends = (line[:-1], other[:-1]), (line[1:], other[1:])
-    low = np.max([points.min(axis=0) for points in starts], axis=0)
-    high = np.max(
-        [np.min([points.max(axis=0) for points in pair], axis=0) for pair in (starts, ends)], axis=0
-    )
-    if (low > high).any():
-        return False
-    across = _separates(line, other) & _separates(other, line).T
-    return bool(across.any())
-
-
-def _separates(line: FloatArray, other: FloatArray) -> BoolArray:
-    """Return `(n - 1, m - 1)`: whether each segment's straight of a polyline separates the ends of
-    each segment of another's.
-    """
-    (px, py), (qx, qy) = line[:-1].T[:, :, None], line[1:].T[:, :, None]
-    x, y = other.T
-    side = (qx - px) * (y - py) - (qy - py) * (x - px)
-    return np.asarray(side[:, :-1] * side[:, 1:] < 0.0)
+    return DevkitLanes(lanes, arrays, blocks, after, before, connectors(lanes), road.open_ground)

@@ -184,6 +184,7 @@ def mirrored(scenario: Scenario) -> Scenario:
             lane,
             left=lane.right * _FLIP,
             right=lane.left * _FLIP,
+            line=lane.line * _FLIP,
             left_neighbour=lane.right_neighbour,
             right_neighbour=lane.left_neighbour,
             left_opposite=lane.right_opposite,
@@ -203,7 +204,9 @@ def mirrored(scenario: Scenario) -> Scenario:
         crosswalks=tuple(
             replace(walk, polygon=walk.polygon[::-1] * _FLIP) for walk in road.crosswalks
         ),
-        areas=tuple(area[::-1] * _FLIP for area in road.areas),
+        areas=_flipped_areas(road.areas),
+        car_parks=_flipped_areas(road.car_parks),
+        intersections=_flipped_areas(road.intersections),
     )
     metadata = dict(scenario.metadata)
     if "expected_decisions" in metadata:
@@ -226,6 +229,10 @@ def mirrored(scenario: Scenario) -> Scenario:
         origin=(scenario.origin[0], -scenario.origin[1]),
         metadata=metadata,
     )
+
+
+def _flipped_areas(areas: tuple[FloatArray, ...]) -> tuple[FloatArray, ...]:
+    return tuple(area[::-1] * _FLIP for area in areas)
 
 
 def moved_trajectory(ego: Trajectory, dx: float, dy: float, dyaw: float) -> Trajectory:
@@ -300,10 +307,17 @@ def placed_road(road: Road, points: _Points) -> Road:
     return replace(
         road,
         lanes={
-            i: replace(lane, left=points(lane.left), right=points(lane.right))
+            i: replace(
+                lane,
+                left=points(lane.left),
+                right=points(lane.right),
+                line=points(lane.line) if len(lane.line) else lane.line,
+            )
             for i, lane in road.lanes.items()
         },
         stop_lines=tuple(replace(line, points=points(line.points)) for line in road.stop_lines),
         crosswalks=tuple(replace(walk, polygon=points(walk.polygon)) for walk in road.crosswalks),
         areas=tuple(map(points, road.areas)),
+        car_parks=tuple(map(points, road.car_parks)),
+        intersections=tuple(map(points, road.intersections)),
     )

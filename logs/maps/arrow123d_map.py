@@ -15,6 +15,7 @@ from replan.logs.maps.arrow123d_objects import (
     CAR_PARK,
     CROSSWALK,
     DRIVABLE,
+    INTERSECTION,
     LANE,
     LANE_GROUP,
     REACH_M,
@@ -26,7 +27,7 @@ from replan.logs.maps.arrow123d_objects import (
 from replan.logs.maps.arrow123d_stop_lines import stop_lines
 from replan.logs.maps.base import MapFile, MapReader
 from replan.logs.maps.strips import LaneStrip, lanes_of
-from replan.logs.road import IN_JUNCTION, Road
+from replan.logs.road import IN_JUNCTION, NO_LINE, Road
 from replan.logs.rules import Crosswalk
 
 LANE_TYPES = ("undefined", "freeway", "surface_street", "bike_lane", "bus_lane")
@@ -77,7 +78,10 @@ def road_of_map(
             keeps_right = False
             notes.append("Traffic drives on the left in Singapore.")
         walks = [Crosswalk(*walk) for walk in objects.rings(CROSSWALK, near, zero)]
-        ground = objects.rings(CAR_PARK, near, zero) + objects.rings(DRIVABLE, near, zero)
+        areas, car_parks, intersections = (
+            tuple(ring for _, ring in objects.rings(layer, near, zero))
+            for layer in (DRIVABLE, CAR_PARK, INTERSECTION)
+        )
         zones = [zone for zone in objects.of(STOP_ZONE) if zone.is_near("outline", near)]
         lines = stop_lines([(zone, zone.ring(zero)) for zone in zones], lanes, notes)
         if any(len(lane.successors) > 1 for lane in lanes.values()):
@@ -87,7 +91,9 @@ def road_of_map(
             drives_on_right=keeps_right,
             stop_lines=lines,
             crosswalks=tuple(walks),
-            areas=tuple(ring for _, ring in ground),
+            areas=areas,
+            car_parks=car_parks,
+            intersections=intersections,
             route=tuple(
                 lane.id
                 for group in route
@@ -139,9 +145,19 @@ def _strips(
                 marks=(marks.get((lane.id, "left"), ""), marks.get((lane.id, "right"), "")),
                 drivable=kind not in NOT_DRIVABLE,
                 speed_limit=float(limit) if isinstance(limit, int | float) else float("nan"),
+                group=lane.id_in("lane_group_id"),
+                line=_line(lane, origin),
             )
         )
     return strips
+
+
+def _line(lane: MapObject, origin: FloatArray) -> FloatArray:
+    """Return the centre line of a lane, if the map has a valid one."""
+    if lane.features.get("centerline") is None:
+        return NO_LINE
+    points = array_of(lane.features["centerline"])[:, :2] - origin
+    return points if np.isfinite(points).all() else NO_LINE
 
 
 def _read(path: Path, settings: Mapping[str, str]) -> MapFile:

@@ -20,7 +20,7 @@ from replan.core.arrow_tables import COPY_AGAIN, array_of, ipc_table, metadata_o
 from replan.core.errors import LogError
 from replan.logs.maps.strips import LARGEST_M
 
-LANE, LANE_GROUP = 0, 1
+LANE, LANE_GROUP, INTERSECTION = 0, 1, 2
 CROSSWALK, CAR_PARK, DRIVABLE = 3, 5, 6
 STOP_ZONE, ROAD_LINE = 7, 9
 REACH_M = 300.0  # Lanes up to this distance around the requested places are read, m

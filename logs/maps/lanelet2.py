@@ -23,7 +23,7 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import chain, product
 from pathlib import Path
 
 import numpy as np
@@ -82,17 +82,19 @@ def read_lanelet2(path: Path, settings: Mapping[str, str]) -> MapFile:
                 remedy="give a map of lanelets with subtype road",
             )
         rules = rules_of(osm, strips, lanes, rows, xy, notes)
-        shapes = (
-            way_points(way, rows) for way in osm.ways.values() if way.tags.get("type") in _GROUND
-        )
         areas = {
             i: _outline(osm, relation, rows)
             for i, relation in osm.relations.items()
             if relation.tags.get("type") == "multipolygon"
             and relation.tags.get("subtype") in _AREAS
         }
-        outlines = (*shapes, *areas.values())
-        rings = [line[:-1] if len(line) > 1 and line[0] == line[-1] else line for line in outlines]
+        ground: dict[str, list[FloatArray]] = {word: [] for word in (*_GROUND, *_AREAS)}
+        shapes = ((way.tags.get("type"), way_points(way, rows)) for way in osm.ways.values())
+        outlines = ((osm.relations[i].tags["subtype"], line) for i, line in areas.items())
+        for word, line in chain(shapes, outlines):
+            ring = line[:-1] if len(line) > 1 and line[0] == line[-1] else line
+            if word in ground and len(ring) > 2:
+                ground[word].append(xy[list(ring)])
         # traffic drives on the right if more lanes have the opposite direction on their left
         votes = [
             lane.left_opposite
@@ -104,7 +106,9 @@ def read_lanelet2(path: Path, settings: Mapping[str, str]) -> MapFile:
             drives_on_right=sum(votes) * 2 >= len(votes),
             stop_lines=rules.stop_lines,
             crosswalks=rules.crosswalks,
-            areas=tuple(xy[list(ring)] for ring in rings if len(ring) > 2),
+            areas=(*ground["intersection_area"], *ground["freespace"]),
+            car_parks=(*ground["parking_lot"], *ground["parking"]),
+            intersections=tuple(ground["intersection_area"]),
         )
         for key, count in sorted(osm.blanks.items()):
             notes.append(f"{count} tags have blanks around the key '{key}': it is read without.")

@@ -10,13 +10,13 @@ on their right than on their left.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from replan.core.arrays import FloatArray, arc_lengths, foot_on
 from replan.logs.polylines import paired
-from replan.logs.road import Lane
+from replan.logs.road import NO_LINE, Lane
 
 LARGEST_M = 1e7
 """A larger coordinate is not valid: UTM northings end at 1e7."""
@@ -40,6 +40,8 @@ class LaneStrip:
     marks: tuple[str, str] = ("", "")
     drivable: bool = True
     speed_limit: float = float("nan")
+    group: int | None = None  # as in `Lane`; `line` likewise
+    line: FloatArray = field(default_factory=lambda: NO_LINE)
 
 
 def lanes_of(strips: Sequence[LaneStrip], notes: list[str]) -> tuple[dict[int, Lane], bool]:
@@ -68,6 +70,8 @@ def lanes_of(strips: Sequence[LaneStrip], notes: list[str]) -> tuple[dict[int, L
             first_side[moved],
             second_side[moved],
             successors=tuple(i for i in strip.successors if i != strip.id),
+            group=strip.group,
+            line=strip.line,
             speed_limit=strip.speed_limit if 0.0 < strip.speed_limit < 100.0 else float("nan"),
             drivable=strip.drivable,
             left_crossable=crossable(strip.marks[0], left=True),

@@ -168,6 +168,9 @@ class LaneColumns(msgspec.Struct, rename=serialised):
     right_crossable: bool = True
     kind: str = "lane"
     yields_to: list[int] = []
+    group: int | None = None
+    line_x: list[float] = []
+    line_y: list[float] = []
 
 
 class StopLine(msgspec.Struct, rename=serialised):
@@ -197,7 +200,7 @@ class Road(msgspec.Struct, rename=serialised):
     """Lanes and rules; source "driven_path": made from the ego's path; "assumed_limits",
     "assumed_priority": lanes.
 
-    "areas": more drivable ground. "route": lanes of the route that the log names.
+    "areas": more drivable ground, like "car_parks". "route": lanes of the route that the log names.
     """
 
     lanes: list[LaneColumns]
@@ -209,6 +212,8 @@ class Road(msgspec.Struct, rename=serialised):
     assumed_limits: list[int] = []
     assumed_priority: list[int] = []
     areas: list[Region] = []
+    car_parks: list[Region] = []
+    intersections: list[Region] = []
     route: list[int] = []
 
 

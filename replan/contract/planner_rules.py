@@ -11,6 +11,8 @@ import numpy as np
 
 from replan.contract.breaches import LOOP, Findings, call, difference, scenarios_or_default
 from replan.logs.frame import PLAN_HORIZON_S, Frame, PlannerContext
+from replan.logs.lane_groups import complete_road, lanes_of_lights
+from replan.logs.lane_route import lane_route
 from replan.logs.plan import Plan, PlanStart, PlanStatus
 from replan.logs.scenario import Scenario
 from replan.logs.states import TRAJECTORY_COLUMNS
@@ -108,13 +110,18 @@ def _name_of(extension: object) -> str:
 def context_of(scenario: Scenario) -> PlannerContext:
     """Return the context of a planner for a scenario."""
     start = logged_ego(scenario.ego, scenario.vehicle, float(scenario.ego.t[0]))
+    goal = goal_of(scenario)[0]
+    road = complete_road(scenario.road)
     return PlannerContext(
-        scenario.road,
-        goal_of(scenario)[0],
+        road,
+        goal,
         scenario.vehicle,
         LOOP.plan_period_s,
         start,
         origin=scenario.origin,
+        route=lane_route(road, start, goal, scenario.ego),
+        light_lanes=lanes_of_lights(road),
+        start_ns=scenario.start_ns,
     )
 
 

@@ -128,7 +128,7 @@ def _inexact(
             not any(np.isfinite(road.stated_limit(i)) for i in road.lanes) for road in roads
         ),
         "drivable_area_compliance: {} have no drivable ground beside their lanes": sum(
-            not road.areas for road in roads
+            not road.open_ground for road in roads
         ),
         "intersections: {} mark none: lanes that cross others are taken for them": sum(
             not _marks_intersections(road) for road in roads

@@ -18,6 +18,8 @@ import numpy as np
 
 from replan.core.errors import ConfigError, PlannerError, ReplanError, raised
 from replan.logs.frame import Frame, PlannerContext
+from replan.logs.lane_groups import complete_road, lanes_of_lights
+from replan.logs.lane_route import LaneRoute, RouteSource, lane_route
 from replan.logs.plan import Plan
 from replan.logs.road import RoadSource
 from replan.logs.scenario import Scenario
@@ -41,6 +43,10 @@ from replan.replay.planner_process.planner_config import (
 DRIVEN_PATH_NOTE = (
     "the road is the driven path: the planner knows where the log's driver went; open-loop errors "
     "across the path say nothing"
+)
+
+DRIVEN_ROUTE_NOTE = (
+    "the route that the planner is shown follows the log's drive, since no lanes lead to the goal"
 )
 
 
@@ -108,10 +114,23 @@ class Planning:
         self._watch = Stopwatch()
         period = config.plan_period_ns / 1e9
         road = scenario.road
+        route = LaneRoute()
         if not is_built_in(spec):  # such a planner could change objects that drives share
-            road = replace(road, lanes={i: replace(lane) for i, lane in road.lanes.items()})
+            road = complete_road(road)
+            route = lane_route(road, start, goal, scenario.ego)
+        if route.source is RouteSource.DRIVE:
+            self.notes = (*self.notes, DRIVEN_ROUTE_NOTE)
         self.context = PlannerContext(
-            road, goal, scenario.vehicle, period, start, self._watch.lap, origin=scenario.origin
+            road,
+            goal,
+            scenario.vehicle,
+            period,
+            start,
+            self._watch.lap,
+            origin=scenario.origin,
+            route=route,
+            light_lanes=lanes_of_lights(road),
+            start_ns=scenario.start_ns,
         )
         try:
             if apart:

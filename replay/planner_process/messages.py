@@ -24,6 +24,7 @@ from typing import Any
 
 import msgspec
 
+from replan.core.arrays import Points
 from replan.logs import agents, frame, past, plan as nouns, states
 from replan.logs.agents import AgentKind
 from replan.logs.codec import (
@@ -35,6 +36,7 @@ from replan.logs.codec import (
     packed,
     unpacked,
 )
+from replan.logs.lane_route import RouteSource
 from replan.logs.mcap import plan_messages
 from replan.logs.mcap.trace_file import artefacts_of, inside_of
 from replan.logs.past import PastSource
@@ -63,8 +65,10 @@ Those of `dp_qp` have about 10 KiB.
 """
 
 
-class Road(msgspec.Struct):
-    """`replan.logs.road.Road`; `source` is "lanes" or "driven_path"."""
+class Road(msgspec.Struct, omit_defaults=True):
+    """`replan.logs.road.Road`; `source` is "lanes" or "driven_path". Older planners do not read the
+    fields with defaults.
+    """
 
     lanes: list[Lane]
     source: str
@@ -72,12 +76,23 @@ class Road(msgspec.Struct):
     default_speed_limit: float
     stop_lines: list[StopLine]
     crosswalks: list[Crosswalk]
+    areas: list[Points] = []
+    car_parks: list[Points] = []
+    intersections: list[Points] = []
+    assumed_limits: list[int] = []
+
+
+class Route(msgspec.Struct):
+    """`replan.logs.lane_route.LaneRoute`; `source` is "log", "goal" or "drive"."""
+
+    lanes: list[int] = []
+    source: RouteSource = RouteSource.GOAL
 
 
 class Context(msgspec.Struct):
     """`replan.logs.frame.PlannerContext`: constant in a drive.
 
-    Older planners do not read `goal.alternatives` and `origin`.
+    Older planners do not read `goal.alternatives` and the fields with defaults.
     """
 
     road: Road
@@ -87,6 +102,9 @@ class Context(msgspec.Struct):
     start: EgoState
     horizon: float
     origin: tuple[float, float] = (0.0, 0.0)
+    route: Route = msgspec.field(default_factory=Route)
+    light_lanes: dict[int, tuple[int, ...]] = {}
+    start_ns: int = 0
 
 
 class Hello(msgspec.Struct, tag="hello"):

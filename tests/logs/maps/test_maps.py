@@ -193,14 +193,21 @@ def test_stop_lines_right_of_way_crosswalks_and_what_is_not_read(read: MapFile) 
     assert {
         CALLED[i] for i, lane in read.road.lanes.items() if IN_JUNCTION in lane.kind.split("+")
     } == {"turn"}
-    grounds = {tuple(area.mean(axis=0)): np.ptp(area, axis=0).tolist() for area in read.road.areas}
+    grounds = {
+        tuple(area.mean(axis=0)): np.ptp(area, axis=0).tolist() for area in read.road.open_ground
+    }
     assert grounds == {(66.0, -2.0): [12.0, 12.0], (85.0, 15.0): [10.0, 10.0]}
+    parks, crossings = read.road.car_parks, read.road.intersections
+    assert [tuple(area.mean(axis=0)) for area in (*parks, *crossings)] == [
+        (85.0, 15.0),
+        (66.0, -2.0),
+    ]
 
 
 @pytest.mark.parametrize("broken", ["hole", "gap", "open"])
 def test_an_area_that_is_no_plain_ring_is_not_read(tmp_path: Path, broken: str) -> None:
     m, _ = crossroads()
-    there = len(read_map(m.write(tmp_path / "map.osm")).road.areas)
+    there = len(read_map(m.write(tmp_path / "map.osm")).road.open_ground)
     side, far = (
         m.way([(0.0, 30.0), (9.0, 30.0), (9.0, 39.0)]),
         m.way([(9.5, 39.0), (0.0, 39.0), (0.0, 30.0)]),
@@ -212,7 +219,9 @@ def test_an_area_that_is_no_plain_ring_is_not_read(tmp_path: Path, broken: str) 
     )
     m.relation(members, type="multipolygon", subtype="parking")
     found = read_map(m.write(tmp_path / "map.osm"))
-    assert len(found.road.areas) == there and any("2 multipolygon" in note for note in found.notes)
+    assert len(found.road.open_ground) == there and any(
+        "2 multipolygon" in note for note in found.notes
+    )
 
 
 def test_a_line_at_a_lanes_begin_lies_across_the_lane_before(tmp_path: Path) -> None:

@@ -54,7 +54,15 @@ def test_same_scenario_same_bytes(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("noun", "message", "split"),
     [
-        (Lane, native.LaneColumns, {"left": ("left_x", "left_y"), "right": ("right_x", "right_y")}),
+        (
+            Lane,
+            native.LaneColumns,
+            {
+                "left": ("left_x", "left_y"),
+                "right": ("right_x", "right_y"),
+                "line": ("line_x", "line_y"),
+            },
+        ),
         (VehicleParameters, native.Vehicle, {}),
         (Road, native.Road, {}),
         (replan.StopLine, native.StopLine, {"points": ("x", "y")}),

@@ -20,7 +20,7 @@ from replan.core.errors import LogError
 from replan.logs.agents import AgentKind
 from replan.logs.catalogue.detector import detected
 from replan.logs.complete import passed_width
-from replan.logs.edit.cut import DETECTED_S, cut
+from replan.logs.edit.cut import DETECTED_S, HISTORY_S, cut
 from replan.logs.mcap import read_scenario, write_scenario
 from replan.logs.readers import LogSettings, read_log, with_tracks
 from replan.logs.repair.detections import Detections
@@ -129,8 +129,11 @@ def test_a_part_of_a_repaired_log_is_the_wholes(made: Scenario, tmp_path: Path) 
         )
     assert part.repair.tracks is part.tracks and part.repair.extended.shape == part.tracks.t.shape
     frames = part.repair.detections.frames
-    assert frames[0] == pytest.approx(-DETECTED_S) and frames[-1] <= 5.0
-    assert all(change.begin <= 5.0 and change.end >= -DETECTED_S for change in part.repair.changes)
+    assert frames[0] == pytest.approx(-DETECTED_S) and frames[-1] <= 3.0 + HISTORY_S
+    assert all(
+        change.begin <= 3.0 + HISTORY_S and change.end >= -DETECTED_S
+        for change in part.repair.changes
+    )
     both = cut(repaired_scenario(), 1.0, 2.0).repair
     assert both is not None and both.extended.sum() == 4 and both.removed.t.max() < 0.0
 

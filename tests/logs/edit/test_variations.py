@@ -13,7 +13,8 @@ from replan.core.arrays import FloatArray
 from replan.core.errors import ConfigError, LogError
 from replan.logs.agents import AgentKind
 from replan.logs.catalogue import CATALOGUE
-from replan.logs.edit.variations import VARIATIONS, driven_line, varied
+from replan.logs.edit.agent_changes import driven_line
+from replan.logs.edit.variations import VARIATIONS, varied
 from replan.logs.mcap import read_scenario, write_scenario
 from replan.logs.road import Goal
 from replan.logs.scenario import Scenario

@@ -234,8 +234,8 @@ _TABLE = (
         high=500.0,
         neutral=nan,
         summary=(
-            "an adult crosses the ego's path from the right at this distance from its start, and is "
-            "in its middle when the front of an ego at constant speed arrives"
+            "an adult crosses the ego's path from the right at this distance from its start, and "
+            "is in its middle when the front of an ego at constant speed arrives"
         ),
         change=pedestrian,
         of=WALKER,

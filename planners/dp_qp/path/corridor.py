@@ -12,26 +12,18 @@ steps:
 (3) `_towards`      within the sides of the goal region, or as near to them as possible
 (4) `_widen_bounds`      where the ego is outside the lane: holding a quintic from its state back
                          into it
-(5) `loosen_bounds` to the reach (8) of comfortable steering, where a bound asks for more; of hard
+(5) `loosen_bounds` to the reach of comfortable steering, where a bound asks for more; of hard
                     steering where comfort would leave the road's room by more than `FORCED_M` and
                     that leaves it by less
 
-`bounds` narrows it beside obstacles. With the expected speed v(s) along the reference line, the
-curvature K at the steering lock, and the steering rate d(delta)/dt, steering keeps
-
-(6) |kappa| <= min(K, a_lat / v^2)           (7) |kappa'| <= rate / (wheelbase v)
-
-For a path at offset l the curvature is kappa_r / (1 - kappa_r l) + l'' / (1 - kappa_r l)^2 where l'
-is small.
-
-(8) The reach: l, l' and l'' of steering to one side as hard as (6) and (7) permit. A bound beyond
-    the reach cannot be kept; it is loosened to the reach, so that a path is found; the S-T graph
-    has the agents that this path meets.
+`bounds` narrows it beside obstacles. A bound beyond the reach of steering (steering_reach.py)
+cannot be kept; it is loosened to the reach, so that a path is found; the S-T graph has the agents
+that this path meets.
 
 A point of the ego's axis `lead` m before the rear axle has the offset, from the reference line at s
 + lead,
 
-(9) l + lead l' - swing,      swing = (sqrt(1 + (kappa_r lead)^2) - 1) / kappa_r
+(6) l + lead l' - swing,      swing = (sqrt(1 + (kappa_r lead)^2) - 1) / kappa_r
 """
 
 from __future__ import annotations
@@ -43,6 +35,7 @@ import numpy as np
 
 from replan.core.arrays import TIE, BoolArray, FloatArray, frozen
 from replan.core.kernel import inner_kernel, kernel
+from replan.planners.dp_qp.path.steering_reach import steering_bounds
 from replan.planners.frenet.path import MIN_REGULAR, quintic
 from replan.planners.frenet.reference_path import CrossSections, sections
 from replan.planners.piecewise_jerk.problem import DDDX, DDX, DX, LEADS, X
@@ -53,7 +46,7 @@ KNOT, LIMIT, KAPPA = 0, 1, 2
 Speed limit, m/s; curvature of the reference line, 1/m.
 """
 S, SWING, LOWER, UPPER, LEAST, MOST = range(6)
-"""Rows of `RoadAhead.points`: stations, m; how far the points swing out (9), m; bounds (1) to (4)
+"""Rows of `RoadAhead.points`: stations, m; how far the points swing out (6), m; bounds (1) to (4)
 of their offsets, m; the same without (3), m."""
 MAX_DL = 1.0  # Bound of l': 45 degrees off the reference line
 # Hard steering is considered where comfortable steering would leave the lane by more than this, m
@@ -73,11 +66,8 @@ COMFORT = frozen(np.array([4.0, 3.0, 1.8]))
 """
 # ... and those where comfort would leave the lane by more than `FORCED_M`.
 HARD = frozen(np.array([6.0, 5.0, 0.0]))
-SHARPEST = 1.0  # Largest rate of the curvature, 1/m2, however slow the ego is
-SHARE = 0.8  # Share of the bounds that the reach (8) uses; the rest lets the path be smooth
-SLOWEST_MPS = 1.0  # Least v in (6) and (7), m/s
 AHEAD = 1.0 / 3.0
-"""The swing (9) is that of the curvature at s + lead / 3: exact to second order where the curvature
+"""The swing (6) is that of the curvature at s + lead / 3: exact to second order where the curvature
 rises linearly.
 """
 
@@ -142,7 +132,7 @@ def road_ahead(
         turned = road.kappa if k == 0 else sections(line_s, table, turning).kappa
         for i in range(n):
             turn = turned[i] * lead
-            # (9): m to the right in a left turn
+            # (6): m to the right in a left turn
             points[SWING, k, i] = lead * turn / (1.0 + sqrt(1.0 + turn**2))
             if k == 0:
                 along[LIMIT, i], along[KAPPA, i] = road.limit[i], road.kappa[i]
@@ -389,13 +379,14 @@ def narrowed_beside(
     narrowed[0], narrowed[1] = lower, upper
     room, closed = np.full(len(boxes), np.inf), np.zeros(len(boxes), np.bool_)
     for b in range(len(boxes)):
-        left = boxes[b, 4] > 0.0
-        if boxes[b, 4] == 0.0:
+        box_right, box_left, passing = boxes[b, 2], boxes[b, 3], boxes[b, 4]
+        if passing == 0.0:
             continue
+        left = passing > 0.0
         low, high = room_beside(s, narrowed[0], narrowed[1], boxes[b : b + 1], gap)[0]
-        room[b] = high - boxes[b, 3] - side if left else boxes[b, 2] - side - low
+        room[b] = high - box_left - side if left else box_right - side - low
         distance = min(clearance, room[b] - 0.02)
-        edge = boxes[b, 3] + side + distance if left else boxes[b, 2] - side - distance
+        edge = box_left + side + distance if left else box_right - side - distance
         tried = narrowed.copy()
         closed[b] = room[b] < least
         for k in range(s.shape[0]):
@@ -414,110 +405,3 @@ def narrowed_beside(
 @inner_kernel
 def _is_beside(s: float, box: FloatArray, gap: float) -> bool:
     return box[0] - gap - TIE <= s <= box[1] + gap + TIE
-
-
-@kernel
-def expected_speed(
-    v0: float,
-    limit: FloatArray,
-    kappa: FloatArray,
-    step: float,
-    accel: float,
-    decel: float,
-    lateral: float,
-) -> FloatArray:
-    """Speed `(n,)` at stations `step` m apart, m/s: that of limit and curves, braking with `decel`
-    at most.
-    """
-    expected = np.empty(len(limit))
-    for i in range(len(limit)):
-        expected[i] = min(limit[i], sqrt(lateral / max(abs(kappa[i]), 1e-6)))
-    for i in range(len(limit) - 2, -1, -1):
-        most = expected[i + 1] ** 2 + 2.0 * decel * step
-        if expected[i] ** 2 > most:
-            expected[i] = sqrt(most)
-    expected[0] = v0
-    for i in range(1, len(limit)):
-        least, most = (
-            expected[i - 1] ** 2 - 2.0 * decel * step,
-            expected[i - 1] ** 2 + 2.0 * accel * step,
-        )
-        if expected[i] ** 2 > most:
-            expected[i] = sqrt(most)
-        elif expected[i] ** 2 < least:
-            expected[i] = sqrt(least)
-    return expected
-
-
-@inner_kernel
-def _bend_bounds(bend: float, kappa: float, offset: float) -> tuple[float, float]:
-    """Bounds of l'' that keep the curvature of a path near an offset within +-`bend`."""
-    regular = max(1.0 - kappa * offset, MIN_REGULAR)
-    return (-bend - kappa / regular) * regular**2, (bend - kappa / regular) * regular**2
-
-
-@inner_kernel
-def _reach(
-    start: FloatArray, aim: FloatArray, low: FloatArray, high: FloatArray, step: float
-) -> FloatArray:
-    """Rows l, l', l'' `(3, n)` of (8): l'' goes to `aim` `(n,)` as fast as the bounds of its rate
-    `(n - 1,)` permit.
-    """
-    n = len(aim)
-    reach = np.empty((3, n))
-    reach[:, 0] = start[:3]
-    for i in range(n - 1):
-        now = reach[2, i]
-        then = min(max(aim[i + 1], now + step * low[i]), now + step * high[i])  # (8)
-        reach[2, i + 1] = then
-        reach[1, i + 1] = reach[1, i] + 0.5 * step * (now + then)
-        reach[0, i + 1] = reach[0, i] + step * reach[1, i] + step * step * (now / 3.0 + then / 6.0)
-    return reach
-
-
-@kernel
-def steering_bounds(
-    start: FloatArray,
-    limit: FloatArray,
-    kappa: FloatArray,
-    offset: FloatArray,
-    step: float,
-    car: FloatArray,
-    limits: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Bounds of l'' `(2, n)` and of its rate `(2, n - 1)`, and the reach (8) to the left and to the
-    right `(3, n)`.
-
-    Args:
-        start: l, l', l'' and the speed (m/s) at the first knot; the bounds of l'' are widened to
-            the reach from there.
-        limit: Speed limit at the knots `(n,)`, m/s.
-        kappa: Curvature of the reference line there `(n,)`, 1/m.
-        offset: Offsets near which the path is `(n,)`, m.
-        step: Distance between two knots, m.
-        car: Curvature at the lock, 1/m, its rate over time, 1/(m s), and the lateral acceleration
-            for which the speed stage slows down in curves, m/s2.
-        limits: `COMFORT` or `HARD`.
-    """
-    n = len(limit)
-    _, _, _, speed = start
-    v = expected_speed(speed, limit, kappa, step, limits[2], limits[1], car[2])
-    bounds, aims = np.empty((2, n)), np.empty((2, n))
-    rates, share = np.empty((2, n - 1)), np.empty((2, n - 1))
-    quickest = np.inf
-    for i in range(n):
-        fast = max(v[i], SLOWEST_MPS)
-        bend = min(car[0], limits[0] / fast**2)  # (6)
-        bounds[0, i], bounds[1, i] = _bend_bounds(bend, kappa[i], offset[i])
-        aim = max(SHARE * bend, min(bend, 1.02 * abs(kappa[i])))
-        aims[0, i], aims[1, i] = _bend_bounds(aim, kappa[i], offset[i])
-        quickest_before, quickest = quickest, min(car[1] / fast, SHARPEST)
-        if i > 0:
-            rate, turning = min(quickest_before, quickest), (kappa[i] - kappa[i - 1]) / step  # (7)
-            rates[0, i - 1], rates[1, i - 1] = -rate - turning, rate - turning
-            share[0, i - 1], share[1, i - 1] = -SHARE * rate - turning, SHARE * rate - turning
-    left = _reach(start, aims[1], share[0], share[1], step)
-    right = _reach(start, aims[0], share[0], share[1], step)
-    for i in range(n):
-        bounds[0, i], bounds[1, i] = min(bounds[0, i], left[2, i]), max(bounds[1, i], right[2, i])
-    return bounds, rates, left, right

@@ -8,8 +8,9 @@ from hypothesis import assume, given, settings, strategies as st
 from worlds import CAR
 
 from replan.core.arrays import FloatArray
-from replan.planners.dp_qp.path.corridor import COMFORT, MAX_DL, expected_speed, steering_bounds
+from replan.planners.dp_qp.path.corridor import COMFORT, MAX_DL
 from replan.planners.dp_qp.path.qp import PathQp, PathQpConfig
+from replan.planners.dp_qp.path.steering_reach import expected_speed, steering_bounds
 from replan.planners.piecewise_jerk.problem import DDDX, DDX, DX, LEADS, PiecewiseJerkProblem, X
 from replan.planners.piecewise_jerk.solvers import DEFAULT
 

@@ -25,16 +25,10 @@ from replan.planners.dp_qp.path.bounds import (
     side_choices,
     standing_obstacles,
 )
-from replan.planners.dp_qp.path.corridor import (
-    LOWER,
-    UPPER,
-    EgoInLane,
-    S,
-    expected_speed,
-    road_ahead,
-)
+from replan.planners.dp_qp.path.corridor import LOWER, UPPER, EgoInLane, S, road_ahead
 from replan.planners.dp_qp.path.dp import PathDpConfig
 from replan.planners.dp_qp.path.stage import ChosenPath, PathConfig, PathMemory, PathStage
+from replan.planners.dp_qp.path.steering_reach import expected_speed
 from replan.planners.frenet.path import MIN_REGULAR
 from replan.planners.frenet.reference_path import ReferencePath
 from replan.planners.frenet.scene import Occupancy

@@ -1,6 +1,6 @@
 """The configuration of a run: `RunConfig`, read from and written to TOML.
 
-    planners = ["dp_qp"]             # names, "module:Class", "exec:COMMAND" or "tcp://HOST:PORT"
+    planners = ["dp_qp"]             # names, "module:Class", "exec:COMMAND", "tcp://HOST:PORT" ...
     mode = "both"                    # "open", "closed" or "both"
     gates = "default"                # or a file of thresholds
     internals = "summary"            # how much of a planner's internals the traces hold: "none",

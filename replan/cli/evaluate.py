@@ -34,7 +34,8 @@ def evaluate(
         list[str] | None,
         opt.planner_option(
             LOOP,
-            "A name, module:Class, exec:COMMAND or tcp://HOST:PORT; repeatable. Default: dp_qp.",
+            "A name, module:Class, exec:COMMAND, tcp://HOST:PORT or nuplan:MODULE:CLASS; "
+            "repeatable. Default: dp_qp.",
         ),
     ] = None,
     mode: Annotated[opt.Loop | None, option(LOOP, "Loops to run. Default: both.")] = None,

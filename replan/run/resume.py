@@ -33,6 +33,7 @@ from replan.core.own_sources import own_folders
 from replan.core.settings import flat
 from replan.logs.readers import READER
 from replan.metrics import METRIC
+from replan.nuplan import PREFIX
 from replan.replay.parts import OF_LOOP, PLANNER
 from replan.replay.planner_process.connection import command_of
 from replan.results.log_result import LogResult, Stamp, load_result
@@ -59,8 +60,9 @@ def stamp_of(run: RunConfig, also: Iterable[tuple[ExtensionKind[Any], str]] = ()
             words = command_of(name)
             files = [Path(shutil.which(words[0]) or words[0]), *map(Path, words[1:])]
             own += [file for file in files if file.is_file()]
-        elif not name.startswith("tcp:") and (source := PLANNER.file(name)) is not None:
-            own.append(source)
+        elif not name.startswith("tcp:"):
+            source = PLANNER.file(name.removeprefix(PREFIX))
+            own += [] if source is None else [source]
     named: list[tuple[ExtensionKind[Any], str]] = [(METRIC, name) for name in run.metrics]
     named += [(READER, name) for name in (*READER.entries(), run.log.reader) if name]
     named += [(kind, getattr(run.loop, key)) for key, kind in OF_LOOP.items()]

@@ -20,6 +20,7 @@ from replan.core.errors import ConfigError, PlannerError
 from replan.logs.frame import Frame, PlannerContext
 from replan.logs.past import PAST_S
 from replan.logs.plan import Plan
+from replan.nuplan import PREFIX, nuplan_command
 from replan.replay.drive import FIRST, DriveKey, Stopwatch
 from replan.replay.loop_config import PlannerProcessConfig
 from replan.replay.planner_process import messages
@@ -110,9 +111,23 @@ def _open(spec: str, limits: PlannerProcessConfig, load: Load | None = None) -> 
     """Start the process, or connect to the node; errors as `Connection`."""
     if spec.startswith("tcp:"):
         return Node(spec, limits.start_timeout_s)
-    return start_process(
-        command_of(spec) if spec.startswith("exec:") else None, messages.Answer, limits, load
-    )
+    if is_foreign(spec):
+        table = msgspec.msgpack.decode(load.settings) if load else {}
+        return start_process(_command(spec, table), messages.Answer, limits)
+    return start_process(None, messages.Answer, limits, load)
+
+
+def _command(spec: str, table: Mapping[str, object]) -> list[str]:
+    """The command that starts a foreign planner; ConfigError if it cannot be run."""
+    if not spec.startswith(PREFIX):
+        return command_of(spec)
+    try:
+        command = nuplan_command(spec, table)
+    except ValueError as error:
+        raise ConfigError(str(error)) from None
+    if shutil.which(command[0]) is None:
+        raise ConfigError(f"planner '{spec}': there is no interpreter {command[0]} (its python)")
+    return command
 
 
 class Connection:
@@ -269,7 +284,10 @@ def describe_planner(
     PlannerError if the planner cannot be loaded.
     """
     if is_foreign(spec):
-        (command_of if spec.startswith("exec:") else address_of)(spec)
+        if spec.startswith("tcp:"):
+            address_of(spec)
+        else:
+            _command(spec, table)
         if limits.batch:
             raise ConfigError(f"planner '{spec}' has no plan_batch: leave out loop.apart.batch")
         return dict(table)

@@ -13,7 +13,8 @@ from replan.core.errors import ConfigError
 from replan.replay.loop_config import PlannerProcessConfig
 from replan.replay.parts import PLANNER, Factory, Part
 
-FOREIGN = ("exec:", "tcp://")  # Prefixes of planners that are not Python classes to load
+FOREIGN = ("exec:", "tcp://", "nuplan:")
+"""Prefixes of planners that are not Python classes to load."""
 
 
 def is_built_in(spec: str) -> bool:
@@ -22,7 +23,9 @@ def is_built_in(spec: str) -> bool:
 
 
 def is_foreign(spec: str) -> bool:
-    """Whether a planner is a program or a node: "exec:COMMAND" or "tcp://HOST:PORT"."""
+    """Whether a planner is a program, a node or one of nuPlan: "exec:COMMAND", "tcp://HOST:PORT",
+    "nuplan:MODULE:CLASS".
+    """
     return spec.startswith(FOREIGN)
 
 
@@ -36,10 +39,10 @@ def planner_part(spec: str, settings: Mapping[str, Any] = MappingProxyType({})) 
     """The planner or oracle of a name, loaded into Python; ConfigError if it is a program or a
     node.
     """
-    if spec.partition(":")[0] in ("exec", "tcp"):
+    if spec.partition(":")[0] in ("exec", "tcp", "nuplan"):
         raise ConfigError(
-            f"planner '{spec}': write exec:COMMAND or tcp://HOST:PORT; neither is loaded into "
-            "Python"
+            f"planner '{spec}': write exec:COMMAND, tcp://HOST:PORT or nuplan:MODULE:CLASS; none "
+            "is loaded into this Python"
         )
     return Part(PLANNER, spec, settings)
 

@@ -285,7 +285,7 @@ def test_a_result_folder_that_holds_the_log_is_not_cleared(logs: Path, tmp_path:
 
 
 def test_the_builtin_suite_takes_no_settings_of_logs(tmp_path: Path) -> None:
-    for asked, window in ((QUICK, 2.0), (replace(QUICK, log=LogSettings(begin=1.0)), None)):
+    for asked, window in ((QUICK, 2.0), (replace(QUICK, log=LogSettings(ego="17")), None)):
         with pytest.raises(ConfigError, match="built-in suite"):
             evaluate_logs([], asked, tmp_path / "out", window=window)
     assert not (tmp_path / "out").exists()

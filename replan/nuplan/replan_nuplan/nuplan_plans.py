@@ -1,0 +1,103 @@
+"""A trajectory of the devkit as a plan of replan.
+
+Only poses and times are taken: planners leave speeds and curvatures 0 or derive them with errors.
+nuPlan's own tracker does the same: it fits speed and curvature to the poses, and aims at the speed
+of 1 s ahead (`LQRTracker`, `tracking_horizon` 10), so that the first steps of a trajectory, which
+planners do not smooth, are not driven. Here
+
+(1) positions are smoothed by polynomials of degree `DEGREE` over `WINDOW` poses (Savitzky-Golay)
+(2) the first pose may be beside the ego (PDM projects it on its path): p(t) += (p_ego - p(0)) (1 -
+        w(u)),  w = u^2 (3 - 2 u),  u = t / `BLEND_S`
+(3) for t < `AHEAD_S` the speed goes linearly from the ego's to the trajectory's at `AHEAD_S`; the
+        stations after it are moved by what this gains
+(4) heading, curvature and acceleration are those of the positions, as
+        `replan.replay.loop.plan_check` asks for
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import savgol_filter
+
+from .nuplan_channel import Message
+from .nuplan_states import Converter
+
+WINDOW, DEGREE = 11, 3
+BLEND_S, AHEAD_S = 1.5, 1.0
+LEAST_STEP_S = 1e-3
+STEP_S = 0.1
+"""Step of a plan."""
+STANDS_M = 0.02
+"""Steps shorter than this have the heading of the step before."""
+Floats = NDArray[np.float64]
+
+
+def plan_message(trajectory: Any, frame: Message, converter: Converter) -> Message:
+    """The message of a trajectory that starts at a frame; ValueError if it has no later pose."""
+    states = trajectory.get_sampled_trajectory()
+    places = np.array([[state.rear_axle.x, state.rear_axle.y] for state in states])
+    times = np.array([converter.seconds(state.time_point) for state in states]) - frame["t"]
+    rises = np.r_[True, np.diff(np.maximum.accumulate(times)) > LEAST_STEP_S]
+    if times[rises][-1] < STEP_S:
+        raise ValueError("the trajectory has no pose after the frame's time")
+    t = np.arange(0.0, times[rises][-1] + 0.5 * STEP_S, STEP_S)
+    x, y = (_smooth(np.interp(t, times[rises], column[rises])) for column in places.T)
+    ego = frame["ego"]
+    share = np.clip(t / BLEND_S, 0.0, 1.0)
+    left = 1.0 - share * share * (3.0 - 2.0 * share)
+    x, y = x + (ego["x"] - x[0]) * left, y + (ego["y"] - y[0]) * left  # (2)
+    x, y, v = _from_speed(t, x, y, ego["v"])
+    yaw, kappa = _bends(x, y, ego["yaw"])
+    columns = (frame["t"] + t, x, y, yaw, v, np.gradient(v, t), kappa)
+    names = ("t", "x", "y", "yaw", "v", "a", "kappa")
+    packed = {n: np.asarray(c, "<f8").tobytes() for n, c in zip(names, columns)}
+    return {"type": "plan", "trajectory": packed}
+
+
+def _smooth(column: Floats) -> Floats:
+    """(1)."""
+    return savgol_filter(column, WINDOW, DEGREE) if len(column) >= WINDOW else column
+
+
+def _from_speed(t: Floats, x: Floats, y: Floats, first: float) -> tuple[Floats, Floats, Floats]:
+    """The positions and speeds (3) of a path that begins at a speed, m/s."""
+    s = np.r_[0.0, np.cumsum(np.hypot(np.diff(x), np.diff(y)))]
+    v = np.gradient(s, t)
+    k = min(round(AHEAD_S / STEP_S), len(t) - 1)
+    u = t[: k + 1] / t[k]
+    begin = max(first, 0.0)
+    gained = t[k] * (begin * u + 0.5 * (v[k] - begin) * u * u)
+    stations = np.r_[gained, s[k + 1 :] + gained[-1] - s[k]]
+    speeds = np.r_[first, (begin + (v[k] - begin) * u)[1:], v[k + 1 :]]
+    longer = np.r_[s, s[-1] + 100.0]  # straight on, where the stations reach beyond its end
+    dx, dy = _direction(x, y)
+    beyond_x, beyond_y = np.r_[x, x[-1] + 100.0 * dx], np.r_[y, y[-1] + 100.0 * dy]
+    return np.interp(stations, longer, beyond_x), np.interp(stations, longer, beyond_y), speeds
+
+
+def _direction(x: Floats, y: Floats) -> tuple[float, float]:
+    """The direction of the last step that moves; (0, 0) if none does."""
+    dx, dy = np.diff(x), np.diff(y)
+    length = np.hypot(dx, dy)
+    moving = np.flatnonzero(length > 1e-6)
+    if not len(moving):
+        return 0.0, 0.0
+    k = moving[-1]
+    return float(dx[k] / length[k]), float(dy[k] / length[k])
+
+
+def _bends(x: Floats, y: Floats, first: float) -> tuple[Floats, Floats]:
+    """Heading, without jumps, and curvature of positions; `first`: the ego's heading, rad."""
+    dx, dy = np.diff(x), np.diff(y)
+    length = np.hypot(dx, dy)
+    moves = length > STANDS_M
+    last = np.maximum.accumulate(np.where(moves, np.arange(len(moves)), -1))
+    steps = np.where(last < 0, first, np.arctan2(dy, dx)[np.maximum(last, 0)])
+    steps = np.unwrap(np.r_[first, steps])[1:]
+    turn, way = np.diff(steps), 0.5 * (length[1:] + length[:-1])
+    kappa = np.where(way > STANDS_M, turn / np.maximum(way, STANDS_M), 0.0)
+    yaw = np.r_[steps[0], 0.5 * (steps[1:] + steps[:-1]), steps[-1]]
+    return yaw, np.r_[0.0, kappa, 0.0] if len(kappa) else np.zeros(len(yaw))

@@ -1,0 +1,74 @@
+"""A planner of nuPlan's interface for tests: goes straight on, looking at all that it is given."""
+
+from __future__ import annotations
+
+from math import cos, sin
+from typing import Any
+
+from nuplan.common.actor_state.ego_state import EgoState
+from nuplan.common.actor_state.state_representation import StateSE2, StateVector2D, TimePoint
+from nuplan.common.maps.maps_datatypes import SemanticMapLayer
+from nuplan.planning.simulation.observation.observation_type import DetectionsTracks
+from nuplan.planning.simulation.planner.abstract_planner import AbstractPlanner
+from nuplan.planning.simulation.trajectory.interpolated_trajectory import InterpolatedTrajectory
+
+ENTRIES, STEP_US = 22, 100_000
+
+
+class GoesStraight(AbstractPlanner):
+    """Drives straight on at its speed; `aside`: its first pose is that far
+    to the left of the ego, m; `fails`: the call in which it raises.
+    """
+
+    def __init__(self, aside: float = 0.0, fails: str = "") -> None:
+        self._aside, self._fails = aside, fails
+        self._times: list[int] = []
+
+    def name(self) -> str:
+        return "goes straight"
+
+    def observation_type(self) -> Any:
+        return DetectionsTracks
+
+    def initialize(self, initialization: Any) -> None:
+        if self._fails == "initialize":
+            raise ValueError("no checkpoint")
+        self._map, self._route = initialization.map_api, initialization.route_roadblock_ids
+        assert self._route, "a route is never empty"
+        for block in self._route:
+            assert self._block(block).interior_edges, "a block has lanes"
+
+    def _block(self, number: str) -> Any:
+        block = self._map.get_map_object(number, SemanticMapLayer.ROADBLOCK)
+        return block or self._map.get_map_object(number, SemanticMapLayer.ROADBLOCK_CONNECTOR)
+
+    def compute_planner_trajectory(self, current_input: Any) -> Any:
+        if self._fails == "compute":
+            raise ValueError("no plan")
+        history = current_input.history
+        ego, observation = history.current_state
+        times = [state.time_us for state in history.ego_states]
+        assert len(times) == ENTRIES and times == sorted(times)
+        assert type(observation) is DetectionsTracks
+        point = ego.rear_axle.point
+        layers = [SemanticMapLayer.LANE, SemanticMapLayer.LANE_CONNECTOR]
+        near = self._map.get_proximal_map_objects(point=point, radius=50.0, layers=layers)
+        assert set(near) == set(layers)
+        for light in current_input.traffic_light_data:
+            number = str(light.lane_connector_id)
+            assert any(self._map.get_map_object(number, layer) for layer in layers)
+        return InterpolatedTrajectory([self._state(ego, k) for k in range(81)])
+
+    def _state(self, ego: EgoState, k: int) -> EgoState:
+        way, left = ego.dynamic_car_state.speed * 0.1 * k, self._aside if k == 0 else 0.0
+        heading = ego.rear_axle.heading
+        x = ego.rear_axle.x + way * cos(heading) - left * sin(heading)
+        y = ego.rear_axle.y + way * sin(heading) + left * cos(heading)
+        return EgoState.build_from_rear_axle(
+            StateSE2(x, y, heading),
+            StateVector2D(0.0, 0.0),
+            StateVector2D(0.0, 0.0),
+            0.0,
+            TimePoint(ego.time_us + STEP_US * k),
+            ego.car_footprint.vehicle_parameters,
+        )

@@ -17,6 +17,10 @@ from numpy.typing import NDArray
 Message = dict[str, Any]
 
 
+PIECE_BYTES = 1_048_576
+"""Bytes that are read at once."""
+
+
 class MessageChannel:
     """Receives and sends messages."""
 
@@ -48,7 +52,7 @@ class MessageChannel:
     def _read(self, size: int) -> bytes:
         parts = []
         while size > 0:
-            part = os.read(self._source, min(size, 1 << 20))
+            part = os.read(self._source, min(size, PIECE_BYTES))
             if not part:
                 return b""
             parts.append(part)

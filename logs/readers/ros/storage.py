@@ -268,6 +268,9 @@ def _files_of(folder: Path) -> tuple[list[Path], Counter[str], list[str]]:
     """
     if not (folder / METADATA).is_file():
         parts = parts_of(folder)
+        if not parts:
+            problem = f"without {METADATA}, the files are not the parts of one recording"
+            raise LogError(problem, file=folder, remedy="name one of its files")
         files = [file for file in parts if _has_content(file)]
         notes = [f"Read as one recording, without {METADATA}: {_listed(parts)}."]
         if len(files) < len(parts):
@@ -286,7 +289,8 @@ def _files_of(folder: Path) -> tuple[list[Path], Counter[str], list[str]]:
     others = [file for file in files_there if file.name not in names]
     notes = [f"{METADATA} lists {_listed(missing)}, missing or empty."] if missing else []
     if not files and not others:
-        raise LogError(" ".join(notes)[:-1], file=folder, remedy=COPY_AGAIN)
+        problem = notes[0].rstrip(".") if notes else f"{METADATA} lists no files, and none is there"
+        raise LogError(problem, file=folder, remedy=COPY_AGAIN)
     is_renamed = len(missing) == len(others) or not files
     if others and is_renamed:
         notes.append(f"Read in their place: {_listed(others)}.")
@@ -307,9 +311,14 @@ def _is_storage(file: Path) -> bool:
     return file.is_file() and (file.suffix == ".zstd" or kind_of(file) is not None)
 
 
+def _part_name(file: Path) -> re.Match[str] | None:
+    """The stem and the number in a part's name, also of a compressed part (rec_10.db3.zstd)."""
+    return _PART.fullmatch(Path(file.name.removesuffix(".zstd")).stem)
+
+
 def _number(file: Path) -> int:
     """The number of a part in its recording; 0 without one."""
-    named = _PART.fullmatch(file.stem)
+    named = _part_name(file)
     return int(named["number"]) if named else 0
 
 
@@ -345,7 +354,7 @@ def parts_of(folder: Path) -> tuple[Path, ...]:
     """
     files = [file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES]
     files = sorted((file for file in files if file.is_file()), key=_number)
-    names = [_PART.fullmatch(file.stem) for file in files]
+    names = [_part_name(file) for file in files]
     stems = {None if name is None else name["stem"] for name in names}
     numbers = [_number(file) for file in files]
     is_counted = all(after == number + 1 for number, after in pairwise(numbers))

@@ -23,10 +23,12 @@ from mcap.writer import CompressionType, IndexType, Writer
 from ros_bags import START_NS, Row, message
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer as Writer2
+from zstandard import ZstdCompressor
 
 from replan.core.errors import LogError
 from replan.logs.mcap.records import BEGIN, HEAD, salvage
 from replan.logs.readers import LogSettings, read_log, reader_of
+from replan.logs.readers.ros import READER
 from replan.logs.readers.ros.bag import opened
 from replan.logs.readers.ros.storage import parts_of
 from replan.logs.readers.ros.walked_mcap import WalkedMcap
@@ -503,6 +505,8 @@ def test_files_that_are_not_named_as_parts_are_logs_of_their_own(
     for name in names:
         (place / f"{name}.moved").rename(place / f"{name}.mcap")
     assert parts_of(place) == () and reader_of(place) is None
+    with pytest.raises(LogError, match="not the parts of one recording"):
+        read_log(place, reader=READER)
 
 
 # metadata.yaml that differs from the folder
@@ -563,6 +567,31 @@ def test_damaged_metadata_is_done_without(text: str, folder: Path, tmp_path: Pat
     (place / "metadata.yaml").write_text(text)
     assert numbers(place) == ALL
     assert "metadata.yaml cannot be read" in notes(place)
+
+
+def test_compressed_parts_beside_damaged_metadata_are_in_the_order_of_their_numbers(
+    tmp_path: Path,
+) -> None:
+    begins = [0, *(START_NS + 500_000_000 * k for k in range(1, 11))]
+    place = write_parts(tmp_path / "drive", ".mcap", begins)
+    for file in list(place.iterdir()):
+        file.with_name(f"{file.name}.zstd").write_bytes(
+            ZstdCompressor().compress(file.read_bytes())
+        )
+        file.unlink()
+    (place / "metadata.yaml").write_text("")
+    with opened(place) as bag:
+        assert [part.path.name for part in bag.parts] == [
+            f"drive_{number}.mcap.zstd" for number in range(11)
+        ]
+
+
+def test_metadata_that_lists_no_files_is_refused_in_words(tmp_path: Path) -> None:
+    (tmp_path / "metadata.yaml").write_text(
+        "rosbag2_bagfile_information:\n  relative_file_paths: []\n  topics_with_message_count: []\n"
+    )
+    with pytest.raises(LogError, match=r"metadata\.yaml lists no files"):
+        read_log(tmp_path)
 
 
 def test_rows_that_are_missing_in_a_database_are_a_note(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from math import ceil
 from os.path import commonpath
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -28,7 +29,7 @@ READER_RULES: Mapping[str, str] = {
 """The rules for readers: what a breach of each means, by the rule's name."""
 
 MOST_DAMAGED = 8
-"""Of a log of many files, the number of those that are damaged in turn."""
+"""Of a log of many files, the largest number of those that are damaged in turn."""
 
 
 def check_reader(
@@ -69,7 +70,7 @@ def check_reader(
     _check_read(reader, path, settings, findings)
     with TemporaryDirectory() as folder:
         _check_foreign(reader, Path(folder), findings)
-    for file in files[:: max(1, len(files) // MOST_DAMAGED)]:
+    for file in files[:: max(1, ceil(len(files) / MOST_DAMAGED))]:
         for share in (0.0, 0.5):
             with TemporaryDirectory() as folder:
                 _check_damaged(

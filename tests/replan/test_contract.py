@@ -10,6 +10,7 @@ import pytest
 
 import replan
 from replan import contract
+from replan.contract.reader_rules import MOST_DAMAGED
 from replan.core.errors import ConfigError
 from replan.logs.catalogue import CATALOGUE
 from replan.logs.edit.cut import cut
@@ -112,6 +113,28 @@ def test_a_reader_that_raises_when_its_files_are_asked_again_breaks_a_rule(txy: 
     with pytest.raises(replan.ContractError) as found:
         replan.check_reader(reader, txy)
     assert "files" in found.value.broken
+
+
+def test_of_a_log_of_many_files_eight_are_damaged_in_turn(txy: Path, tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    log.mkdir()
+    content = txy.read_bytes()
+    for number in range(2 * MOST_DAMAGED - 1):
+        (log / f"{number:02}.txy").write_bytes(content)
+    damaged = set[str]()
+
+    def read(path: Path, settings: LogSettings) -> Scenario:
+        damaged.update(file.name for file in path.iterdir() if file.stat().st_size < len(content))
+        return contract_breakers.TXY.read(path / "00.txy", settings)
+
+    reader = replace(
+        contract_breakers.TXY,
+        claims=lambda path: (path / "00.txy").is_file(),
+        files=lambda path: tuple(sorted(path.iterdir())),
+        read=read,
+    )
+    replan.check_reader(reader, log)
+    assert len(damaged) == MOST_DAMAGED
 
 
 def test_a_reader_is_named_or_an_object(txy: Path) -> None:

@@ -24,7 +24,8 @@ from replan.draw.report.comparison_sections import comparison_sections
 from replan.draw.report.drive_page import DrivePage, chart_markup, drive_page
 from replan.draw.report.overview import Overview
 from replan.draw.report.rendering import rendered
-from replan.draw.report.run_sections import run_sections
+from replan.draw.report.run_sections import BROKEN, run_sections
+from replan.draw.report.section import ReportSection, with_contents
 from replan.draw.report.summary_charts import distributions, most_moved, pass_shares
 from replan.results.tables import numbered, safe_name, write_text
 
@@ -42,7 +43,7 @@ def write_html(over: Overview, path: Path, *, drives: int = 100) -> tuple[str, .
     table has all of them.
 
     Returns:
-        A sentence for each chart that could not be drawn, with the number of drives.
+        A sentence for each part that could not be made, with the number of drives.
     """
     rows, comparison, broken = over.drives[:drives], over.comparison, Counter[str]()
     names = numbered(f"drive/{safe_name(row.log)}/{safe_name(row.planner)}" for row in rows)
@@ -50,6 +51,13 @@ def write_html(over: Overview, path: Path, *, drives: int = 100) -> tuple[str, .
     attempt = Attempts()
     shares = attempt("The chart of shares", lambda: pass_shares(over), None)
     strips = attempt("The charts of distributions", lambda: distributions(over), list[Chart]())
+    sections = attempt("The tables of the run", lambda: run_sections(over), list[ReportSection]())
+    compared: list[ReportSection] = []
+    moved: list[Chart] | None = None
+    if comparison:
+        compared = attempt("The comparison", lambda: comparison_sections(comparison), compared)
+        moved = attempt("The charts of changes", lambda: list(most_moved(comparison)), None)
+    sections += with_contents([ReportSection(BROKEN, lines=attempt.broken)])
 
     def pages() -> Iterator[DrivePage]:
         for row in rows:
@@ -75,9 +83,9 @@ def write_html(over: Overview, path: Path, *, drives: int = 100) -> tuple[str, .
         anchors=anchors,
         pages=chain(first, rest),
         paged=rows,
-        sections=run_sections(over),
-        compared=comparison_sections(comparison) if comparison else [],
-        moved=[chart_markup(chart) for chart in most_moved(comparison)] if comparison else [],
+        sections=sections,
+        compared=compared,
+        moved=None if moved is None else [chart_markup(chart) for chart in moved],
     )
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)

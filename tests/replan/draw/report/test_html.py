@@ -227,6 +227,18 @@ def test_an_error_in_a_part_of_a_report_removes_only_that_part(
             over.broken
         )
         assert (over.exit_code, over.outcome) == (before.exit_code, before.outcome)
+    runs = read_run(results.path)
+    compared = overview(results, compare_runs(runs, runs, planners=("constant_speed", "dp_qp")))
+    for part, words in (
+        ("run_sections", "The tables of the run could not be made"),
+        ("comparison_sections", "The comparison could not be made"),
+        ("most_moved", "The charts of changes could not be made"),
+    ):
+        with monkeypatch.context() as patch:
+            patch.setattr(f"replan.draw.report.html.{part}", fails)
+            broken = write_html(compared, tmp_path / "report.html")
+        assert broken[0].startswith(words)
+        assert words in (tmp_path / "report.html").read_text(encoding="utf-8")
     monkeypatch.setitem(CHARTS, "curves", fails)
     over = write_reports(before, tmp_path / "run")
     assert any("The chart curves could not be drawn: MemoryError" in line for line in over.broken)

@@ -1,7 +1,7 @@
 """Panels: curves over time that share an axis, in recordings and charts.
 
 The values are columns of the trace, the scenario, the timings and the series of the metrics;
-nothing else is computed.
+only the speed limit is looked up in the map.
 """
 
 from __future__ import annotations
@@ -16,11 +16,12 @@ import numpy as np
 from replan.core.arrays import FloatArray
 from replan.draw.spans import Span, widened
 from replan.logs.frame_store import loaded
-from replan.logs.road import RoadSource
 from replan.logs.scenario import Scenario
 from replan.logs.states import Controls, Trajectory
 from replan.logs.trace import Mode, Trace
+from replan.metrics.boxes import ego_boxes
 from replan.metrics.comfort import lon_jerk_state
+from replan.metrics.lanes import limits_at, mapped_lanes, stated_lanes
 from replan.replay.vehicle.tyres import tyre_use
 
 if TYPE_CHECKING:
@@ -388,16 +389,19 @@ LIMIT_STEP_S = 0.1
 
 
 def _limit(trace: Trace, scenario: Scenario) -> Curve:
-    """The speed limit of the lane under the ego."""
+    """The speed limit under the ego's centre as `speed_excess` judges it.
+
+    Where the log states none: the assumed one.
+    """
     ego = trace.ego
     t = np.arange(ego.t[0], ego.t[-1] + 1e-9, LIMIT_STEP_S)
     limits = np.full(len(t), np.nan)
-    if scenario.road.source is RoadSource.LANES:
-        for i, (x, y) in enumerate(
-            zip(np.interp(t, ego.t, ego.x), np.interp(t, ego.t, ego.y), strict=True)
-        ):
-            lanes = scenario.road.lanes_at(float(x), float(y))
-            limits[i] = next((lane.speed_limit for lane in lanes if lane.drivable), np.nan)
+    lanes, stated = mapped_lanes(scenario.road), stated_lanes(scenario.road)
+    if lanes is not None and stated is not None:
+        centre = ego_boxes(ego, scenario)[:2]
+        x, y = (np.interp(t, ego.t, column) for column in centre)
+        limits = limits_at(stated, x, y)
+        limits = np.where(np.isfinite(limits), limits, limits_at(lanes, x, y))
     return Curve("limit", "limit", t, limits, RED, 1.0, steps=True, asked=True)
 
 

@@ -7,6 +7,7 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
+import drives
 import numpy as np
 import pandas as pd
 import pyarrow as pa
@@ -52,6 +53,7 @@ from replan.logs.observed import MAX_AGE_S
 from replan.logs.plan import Corridor, Decision, DecisionKind, GridCost, Plan, StGraph
 from replan.logs.repair.detections import Repair
 from replan.logs.repair.offline import detections_of
+from replan.logs.road import Lane, Road
 from replan.logs.scenario import Scenario
 from replan.logs.trace import EndReason, Mode, PlannedFrame
 from replan.logs.tracks import Tracks
@@ -254,6 +256,25 @@ def test_curves_hold_the_numbers_of_the_trace(closed: tuple[Drive, Scenario, Rec
     np.testing.assert_allclose(recording.scalars("/plots/stages/path_qp"), stage)
     plan = recording.scalars("/plots/speed/plan")
     assert plan[537] == pytest.approx(np.interp(5.37, *plan_speed(done, 53)), abs=1e-9)
+
+
+@pytest.mark.parametrize(("limit", "is_assumed"), [(5.0, False), (12.0, True)])
+def test_the_drawn_limit_is_the_judged_one_and_the_assumed_one_where_none_is_judged(
+    limit: float, is_assumed: bool
+) -> None:
+    """The largest stated limit of overlapping lanes, at the ego's centre."""
+    log = drives.world(10.0)
+    first = replace(drives.straight_road(limit=limit).lanes[0], successors=(1,))
+    x = np.array([20.0, 500.0])
+    edges = (np.column_stack([x, np.full(2, y)]) for y in (1.75, -1.75))
+    lanes = {0: first, 1: Lane(1, *edges, speed_limit=8.0)}
+    assumed = frozenset({0} if is_assumed else ())
+    log = replace(log, road=Road(lanes, assumed_limits=assumed))
+    nothing = np.empty(0)
+    drawn = panels(drives.drive(log), log, lambda metric: (nothing, nothing))
+    curve = next(curve for panel in drawn for curve in panel.curves if curve.name == "limit")
+    reached_s = (20.0 - log.vehicle.axle_to_center) / 10.0
+    np.testing.assert_array_equal(curve.values, np.where(curve.t < reached_s, limit, 8.0))
 
 
 def plan_speed(done: Drive, frame: int) -> tuple[FloatArray, FloatArray]:

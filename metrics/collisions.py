@@ -52,7 +52,7 @@ from replan.metrics.boxes import (
     some_at,
     touches,
 )
-from replan.metrics.cut_in import forces_hit
+from replan.metrics.cut_in import BRAKE_MPS2, REACT_S, forces_hit
 from replan.metrics.lanes import keeps_lane
 from replan.metrics.metric import Measured, Series, counted, metric
 from replan.metrics.reductions import COUNT
@@ -242,11 +242,15 @@ def collision(trace: Trace, scenario: Scenario) -> Measured:
     better="lower",
     reductions=(COUNT,),
     source=_NUPLAN,
-    parameters=(f"standing {STANDING_MPS} m/s", "behind: more than 150 degrees off the heading"),
+    parameters=(
+        f"standing {STANDING_MPS} m/s",
+        "behind: more than 150 degrees off the heading",
+        f"cannot brake: by {BRAKE_MPS2:g} m/s2 after {REACT_S:g} s",
+    ),
 )
 def collision_at_fault(trace: Trace, scenario: Scenario) -> Measured:
-    """Collisions into a standing road user, with the front, or with the side while not keeping a
-    lane.
+    """Collisions into a standing road user, with the front, with the side while not keeping a lane,
+    or by a follower that cannot brake for the ego's change into its lane.
 
     Formula: as collision; kinds and fault in nuPlan's order
     """

@@ -238,7 +238,8 @@ class ReplannedFrame:
     scenario: Scenario
     dump: FrameDump  # The frames up to it, the plan, the QPs
     seconds: Mapping[str, float]  # Duration of each stage, and "total", s
-    # Whether the trajectory is the one in the results, to the bit; None for another planner
+    # Whether the trajectory is the one in the results, to the bit: does the planner, or another one
+    # with changed input, plan what was driven? None for another planner with the same input
     is_same: bool | None
 
 

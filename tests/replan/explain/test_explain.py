@@ -19,6 +19,7 @@ from replan.draw.drawn_results import Results, load as results_of
 from replan.explain import accounts
 from replan.explain.causes import Cause, CauseKind
 from replan.explain.explanation import MOST_PHASES, changes, explained, lines_of, summary
+from replan.explain.input_changes import parse
 from replan.explain.planner_input import actual_occupancy
 from replan.logs.catalogue import CATALOGUE
 from replan.logs.mcap import write_scenario
@@ -181,6 +182,8 @@ def test_another_planner_gets_only_the_frame_of_a_dump(results: Results) -> None
     assert again.is_same is None and again.dump.planner == "idm" and len(again.dump.frames) == 1
     assert again.dump.frame.ego == replan_frame(drive, 6.5).dump.frame.ego
     assert again.dump.frame.previous is None
+    late = replan_frame(drive, 6.5, "idm", [parse("delay agents 3")])
+    assert late.is_same is False, "compared with the plan of the run: that is what changes are for"
 
 
 def test_the_command_reports_stages_sizes_and_residuals(results: Results, tmp_path: Path) -> None:

@@ -109,7 +109,7 @@ def warmup(
       NUMBA_CACHE_DIR=/var/cache/replan replan warmup --planner dp_qp --planner lattice
     """
     run = run_config(config, {"planners": planner})
-    from replan.cli.progress_bar import sign_of_life, with_kernels
+    from replan.cli.sign_of_life import sign_of_life, with_kernels
     from replan.run.warmup import SCENES, everything, warm_up
 
     if not quiet:

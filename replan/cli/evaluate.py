@@ -158,14 +158,14 @@ def evaluate(
     driven_on = engine_of(engine, address, workers)
     freeze_gc()
     with output_location(out, resume=resume) as location:
-        with progress(quiet=quiet, verbose=verbose) as (on_start, on_log):
+        with progress(quiet=quiet, verbose=verbose) as shown:
 
             def check_and_start(selection: Selection, folder: Path) -> None:
                 location.check_outside(selection.sources)
-                on_start(selection, folder)
+                shown.start(selection, folder)
 
             def log_and_send(result: LogResult) -> None:
-                on_log(result)
+                shown.log(result)
                 location.keep(result)
 
             result = evaluate_logs(

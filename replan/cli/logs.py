@@ -122,7 +122,7 @@ def convert(
       replan convert commonroad USA_US101-6_1_T-1.xml -o us101.mcap
     """
     from replan.cli.convert import convert_all, listing, table
-    from replan.cli.progress_bar import sign_of_life
+    from replan.cli.sign_of_life import sign_of_life
 
     if as_json:
         if not formats:
@@ -166,7 +166,7 @@ def repair(
       replan repair my_bag/ -o my_bag.mcap --table changes.csv
     """
     from replan.cli.convert import changes_as_text, repair_log
-    from replan.cli.progress_bar import sign_of_life
+    from replan.cli.sign_of_life import sign_of_life
 
     settings = run_config(config, {"log": log_table(ego, road_map, begin, end, repair)}).log
     with sign_of_life(progress_lines(), lambda: f"repairing {log}"):
@@ -188,7 +188,7 @@ def inspect(
 ) -> None:
     """List what a log contains, over which time, and what is missing for which evaluation."""
     from replan.cli.convert import unrepaired
-    from replan.cli.progress_bar import sign_of_life
+    from replan.cli.sign_of_life import sign_of_life
     from replan.core.urls import here
     from replan.logs.summary import summarise
     from replan.replay.loop.reference_drives import discriminate

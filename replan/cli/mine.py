@@ -78,7 +78,7 @@ def mine(
 
         say(page())
         return
-    from replan.cli.progress_bar import sign_of_life, with_kernels
+    from replan.cli.sign_of_life import sign_of_life, with_kernels
     from replan.mine.mine import mine_into, summary
     from replan.run.evaluate import selected
 
@@ -238,7 +238,7 @@ def coverage(
     Writes coverage.csv and coverage.png. By default the families of the catalogue are mined for
     comparison, so that a gap names a family that fills it (replan synth FAMILY).
     """
-    from replan.cli.progress_bar import sign_of_life
+    from replan.cli.sign_of_life import sign_of_life
     from replan.mine.coverage import (
         COVERAGE,
         cells_of,

@@ -7,206 +7,147 @@ All of it goes to stderr, so that stdout has the report alone.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from math import inf, isfinite
+from math import isfinite
 from pathlib import Path
-from threading import Event, Thread
-from time import monotonic, perf_counter
+from time import monotonic
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
+from replan.cli.pace import Pace
+from replan.cli.sign_of_life import QUIET_S, sign_of_life, with_kernels
 from replan.core.kernel import KernelWatch, is_cache_cold
 from replan.core.names import counted
 from replan.draw.report.console import SafeConsole
 from replan.results.log_result import LogResult
 from replan.run.sources import Selection
 
-QUIET_S, REFRESH_S = 20.0, 2.0
-"""Longest time without output, s.
-
-On a terminal, the bar's text is renewed after the second time, s.
-"""
-LONGEST_KERNEL_S = 60.0
-"""Kernels are taken to be compiled until this time after the last one, s: one may take that long on
-a busy machine.
-"""
-LEAST_S, MOST_S = 5.0, 60.0
-"""Without a terminal, a line is printed after each tenth of the logs, at least 5 s apart, and at
-least each minute.
-"""
+REFRESH_S = 2.0
+"""On a terminal, the text beside the bar is renewed after this time, s."""
 
 
-@dataclass
-class Pace:
-    """Decides when to print the progress of a run, and makes the line."""
+@dataclass(frozen=True)
+class _Begun:
+    """A run that has begun."""
 
-    total: int
-    # Time at which the first log was started, s; later by the time in which kernels were compiled
-    begin: float
-    left: float  # Expected cost of the logs that have not ended, in the unit of `step`'s `cost`
-    ended_logs: int = 0  # Number of logs that have ended
-    driven: int = 0  # Number of them that were driven in this run
-    spent: float = 0.0  # Expected cost of the logs that were driven
-    ended: float = 0.0  # Time at which the last log ended, s
-    last: float = 0.0  # Time at which the last line was printed, s
-    tenth: int = 0  # Number of tenths that were done at that time
-
-    def __post_init__(self) -> None:
-        self.last = self.ended = self.begin
-
-    def step(
-        self, now: float, *, driven: bool, cost: float = 1.0, compiled: bool = False
-    ) -> str | None:
-        """Count a log that ended at `now`, s; return the line to print, if any. The last log has
-        none.
-
-        The time since the last log counts for nothing if kernels were `compiled` in it: others do
-        not need it again.
-        """
-        if compiled:
-            self.begin, driven = self.begin + now - self.ended, False
-        self.ended = now
-        self.ended_logs += 1
-        self.driven += driven
-        self.left = max(self.left - cost, 0.0)
-        self.spent += cost * driven
-        tenth = 10 * self.ended_logs // self.total
-        due = now - self.last >= (LEAST_S if tenth > self.tenth else MOST_S)
-        if not due or self.ended_logs == self.total or not self.driven:
-            return None
-        self.last, self.tenth = now, tenth
-        return f"{self.ended_logs} of {counted(self.total, 'log')}, {self.rest(now)}"
-
-    def rest(self, now: float) -> str:
-        """Rate and remaining time, by expected costs as the longest logs come first; "" before a
-        log was driven.
-        """
-        if not self.spent:
-            return ""
-        elapsed = max(now - self.begin, 1e-9)
-        rest_s = elapsed * self.left / self.spent
-        when = f"{rest_s:.0f} s" if rest_s < 90.0 else f"{rest_s / 60.0:.0f} min"
-        return f"{60.0 * self.driven / elapsed:.3g} logs/min, about {when} left"
+    folder: Path
+    pace: Pace
+    costs: dict[str, float]  # Expected time of each log by its label, s; 1 if it is not known
+    kernels: KernelWatch
 
 
-@contextmanager
-def sign_of_life(
-    say: Callable[[str], None], words: Callable[[], str], every_s: float = QUIET_S
-) -> Iterator[None]:
-    """While the body runs, `say` the words and the elapsed time every `every_s` seconds."""
-    ended, began = Event(), perf_counter()
+class RunProgress:
+    """Shows the beginning of a run, and each log as it ends."""
 
-    def speak() -> None:
-        while not ended.wait(every_s):
-            say(f"{words()}, {perf_counter() - began:.0f} s so far")
+    def __init__(self, *, quiet: bool, verbose: bool) -> None:
+        self._quiet, self._verbose = quiet, verbose
+        self._on_terminal = sys.stderr.isatty()
+        self._console = SafeConsole(stderr=True)
+        self.bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[rest]}"),
+            console=self._console,
+            transient=True,
+            disable=quiet or not self._on_terminal,
+        )
+        self._task = self.bar.add_task("evaluating", total=None, rest="")
+        self._begun: _Begun | None = None
 
-    thread = Thread(target=speak, daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        ended.set()
-        thread.join()
+    def start(self, selection: Selection, out: Path) -> None:
+        """Show the logs of a run that begins, and the folder of its results."""
+        costs = {source.label: source.expected_s or 1.0 for source in selection.sources}
+        pace = Pace(len(selection.sources), monotonic(), sum(costs.values()))
+        self.bar.update(self._task, total=pace.total)
+        for reason in selection.dropped:
+            self._say(f"left out: {reason}")
+        self._say(f"{counted(pace.total, 'log')} -> {out}")
+        if is_cache_cold():
+            self._say("compiling kernels (once, a minute or two); replan warmup does it beforehand")
+        self._begun = _Begun(out, pace, costs, KernelWatch())
 
+    def log(self, result: LogResult) -> None:
+        """Show a log that ended: its failures, and the pace of the run."""
+        assert self._begun is not None, "a log ends after the run began"
+        if result.twin:
+            self._say(f"left out: {result.source}: the same log as {result.name}")
+        for failure in result.failures:
+            self._console_line(f"error: {failure.line}")
+        begun = self._begun
+        now = monotonic()
+        line = begun.pace.step(
+            now,
+            driven=isfinite(result.seconds) or not result.folder,
+            cost=begun.costs[result.source],
+            compiled=bool(begun.kernels.look()),
+        )
+        self.bar.update(self._task, advance=1, rest=begun.pace.rest(now))
+        if self._verbose:
+            self._say(f"{begun.pace.ended_logs} of {begun.pace.total}  {_outcome(result)}")
+        elif line is not None and not self._on_terminal:
+            self._say(line)
 
-def with_kernels(words: Callable[[], str]) -> Callable[[], str]:
-    """The words; before them the number of compiled kernels, while kernels are compiled."""
-    watch, grown = KernelWatch(), -inf
+    @contextmanager
+    def alive(self) -> Iterator[None]:
+        """While the body runs, renew the text beside the bar, or print how far the run is."""
+        if self._on_terminal:
+            show, words, every_s = self._describe, lambda: "evaluating", REFRESH_S
+        else:
+            show, words, every_s = self._say, self._state, QUIET_S
+        with sign_of_life(show, with_kernels(words), every_s):
+            yield
 
-    def line() -> str:
-        nonlocal grown
-        now = perf_counter()
-        grown = now if watch.look() else grown
-        compiling = now - grown < LONGEST_KERNEL_S
+    def interruption(self) -> str:
+        """What is finished after Ctrl-C, and how to continue."""
+        if self._begun is None:
+            return "interrupted: no log was started"
+        folder, pace = self._begun.folder, self._begun.pace
         return (
-            f"compiling kernels (once): {watch.stored} of {watch.known} are ready, {words()}"
-            if compiling
-            else words()
+            f"interrupted: {pace.ended_logs} of {counted(pace.total, 'log')} are finished in "
+            f"{folder}, and no tables are written; to continue, give the same command with "
+            f"--out {folder} --resume"
         )
 
-    return line
+    def _state(self) -> str:
+        if self._begun is None:
+            return "looking for logs"
+        return f"{self._begun.pace.ended_logs} of {counted(self._begun.pace.total, 'log')}"
+
+    def _describe(self, line: str) -> None:
+        self.bar.update(self._task, description=line)
+
+    def _say(self, line: str) -> None:
+        if not self._quiet:
+            self._console_line(line)
+
+    def _console_line(self, line: str) -> None:
+        self._console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def _outcome(result: LogResult) -> str:
+    """A log that ended in a line: its time, and how its drives ended."""
+    took = f"{result.seconds:.1f} s" if isfinite(result.seconds) else "finished before"
+    ends = [f"{drive.planner} {drive.mode}: {drive.end}" for drive in result.drives]
+    if result.failures:
+        ends.append(f"{len(result.failures)} could not be evaluated")
+    return f"{result.name}  {took}  {'; '.join(ends)}"
 
 
 @contextmanager
-def progress(
-    *, quiet: bool = False, verbose: bool = False
-) -> Iterator[tuple[Callable[[Selection, Path], None], Callable[[LogResult], None]]]:
-    """The functions to call when a run begins and when each log ends.
+def progress(*, quiet: bool = False, verbose: bool = False) -> Iterator[RunProgress]:
+    """Show the progress of the run in the body.
 
     KeyboardInterrupt is raised again with a message about the finished logs and how to continue.
     `quiet`: print errors only. `verbose`: print each log as it ends, with its time and how its
     drives ended.
     """
-    rest = TextColumn("{task.fields[rest]}")
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), rest
-    console = SafeConsole(stderr=True)
-    begun: list[tuple[Path, Pace]] = []
-    watches: list[KernelWatch] = []
-    costs: dict[str, float] = {}
-    on_terminal = sys.stderr.isatty()
-    with Progress(
-        *columns, console=console, transient=True, disable=quiet or not on_terminal
-    ) as bar:
-        task = bar.add_task("evaluating", total=None, rest="")
-
-        def say(line: str | None, *, always: bool = False) -> None:
-            if line is not None and (always or not quiet):
-                console.print(line, markup=False, highlight=False, soft_wrap=True)
-
-        def on_start(selection: Selection, out: Path) -> None:
-            costs.update({source.label: source.expected_s or 1.0 for source in selection.sources})
-            begun.append((out, Pace(len(selection.sources), monotonic(), sum(costs.values()))))
-            bar.update(task, total=len(selection.sources))
-            for reason in selection.dropped:
-                say(f"left out: {reason}")
-            say(f"{counted(len(selection.sources), 'log')} -> {out}")
-            if is_cache_cold():
-                say("compiling kernels (once, a minute or two); replan warmup does it beforehand")
-            watches.append(KernelWatch())
-
-        def on_log(result: LogResult) -> None:
-            if result.twin:
-                say(f"left out: {result.source}: the same log as {result.name}")
-            for failure in result.failures:
-                say(f"error: {failure.line}", always=True)
-            pace = begun[0][1]
-            now, driven = monotonic(), isfinite(result.seconds) or not result.folder
-            line = pace.step(
-                now, driven=driven, cost=costs[result.source], compiled=bool(watches[0].look())
-            )
-            bar.update(task, advance=1, rest=pace.rest(now))
-            if verbose:
-                took = f"{result.seconds:.1f} s" if isfinite(result.seconds) else "finished before"
-                ends = [f"{drive.planner} {drive.mode}: {drive.end}" for drive in result.drives]
-                ends += (
-                    [f"{len(result.failures)} could not be evaluated"] if result.failures else []
-                )
-                say(f"{pace.ended_logs} of {pace.total}  {result.name}  {took}  {'; '.join(ends)}")
-            elif not on_terminal:
-                say(line)
-
-        def state() -> str:
-            if not begun:
-                return "looking for logs"
-            return f"{begun[0][1].ended_logs} of {counted(begun[0][1].total, 'log')}"
-
-        def describe(line: str) -> None:
-            bar.update(task, description=line)
-
-        show, words, every_s = (
-            (describe, lambda: "evaluating", REFRESH_S) if on_terminal else (say, state, QUIET_S)
-        )
+    shown = RunProgress(quiet=quiet, verbose=verbose)
+    with shown.bar:
         try:
-            with sign_of_life(show, with_kernels(words), every_s):
-                yield on_start, on_log
+            with shown.alive():
+                yield shown
         except KeyboardInterrupt:
-            if not begun:
-                raise KeyboardInterrupt("interrupted: no log was started") from None
-            folder, pace = begun[0]
-            raise KeyboardInterrupt(
-                f"interrupted: {pace.ended_logs} of {counted(pace.total, 'log')} are finished in "
-                f"{folder}, and no tables are written; to continue, give the same command with "
-                f"--out {folder} --resume"
-            ) from None
+            raise KeyboardInterrupt(shown.interruption()) from None

@@ -8,7 +8,9 @@ from threading import Event
 import pytest
 from hypothesis import given, strategies as st
 
-from replan.cli.progress_bar import LEAST_S, Pace, progress, sign_of_life, with_kernels
+from replan.cli.pace import LEAST_S, Pace
+from replan.cli.progress_bar import progress
+from replan.cli.sign_of_life import sign_of_life, with_kernels
 from replan.core.kernel import is_cache_cold
 from replan.results.log_result import LogResult
 
@@ -60,7 +62,7 @@ def test_kernels_that_are_compiled_meanwhile_are_counted(monkeypatch: pytest.Mon
     monkeypatch.setattr("replan.core.kernel._is_stored", stored.__contains__)
     monkeypatch.setattr("replan.core.kernel.STORED", list("abcd") + [str(k) for k in range(16)])
     clock = iter([0.0, 20.0, 40.0, 60.0, 101.0])
-    monkeypatch.setattr("replan.cli.progress_bar.perf_counter", lambda: next(clock))
+    monkeypatch.setattr("replan.cli.sign_of_life.perf_counter", lambda: next(clock))
     words = with_kernels(lambda: "0 of 9 logs")
     assert is_cache_cold()
     assert words() == "0 of 9 logs"
@@ -82,10 +84,10 @@ def test_progress_is_lines_on_stderr(
     clock = iter(range(0, 1000, 10))
     monkeypatch.setattr("replan.cli.progress_bar.monotonic", lambda: float(next(clock)))
     done = replace(LogResult("a", "a"), seconds=1.0)
-    with progress() as (on_start, on_log):
-        on_start(Selection(tuple(map(LogSource, "abcde"))), Path("out"))
+    with progress() as shown:
+        shown.start(Selection(tuple(map(LogSource, "abcde"))), Path("out"))
         for _ in "abcde":
-            on_log(done)
+            shown.log(done)
     said = capsys.readouterr()
     assert said.out == ""
     assert said.err.splitlines()[:2] == [

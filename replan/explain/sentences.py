@@ -5,6 +5,7 @@ nothing else.
 from __future__ import annotations
 
 import re
+from itertools import chain, repeat
 from math import isfinite
 
 from replan.explain.causes import SHARE, Account, Cause, CauseKind
@@ -35,58 +36,64 @@ def sentences(account: Account) -> list[str]:
     Empty if there is none of these and no fallback. An inferred cause that needs less than `SHARE`
     of the first one's deceleration is not named beside it.
     """
-    failed = [cause for cause in account.causes if cause.kind is CauseKind.FALLBACK]
-    rest = conflicts(account)
-    if rest and isfinite(rest[0].need_mps2):
-        least = SHARE * rest[0].need_mps2
-        rest = [cause for cause in rest if not (cause.inferred and cause.need_mps2 < least)]
     lines = describe_contradictions(account.alarms)
-    lines += [f"Fallback: {_join(cause.who, cause.reason)}." for cause in failed]
+    for cause in account.causes:
+        if cause.kind is CauseKind.FALLBACK:
+            lines.append(f"Fallback: {_join(cause.who, cause.reason)}.")
+    causes = _worth_naming(conflicts(account))
+    openings = chain([_opening(account)], repeat("Also"))
+    for opening, cause in zip(openings, causes[:MOST], strict=False):
+        lines.append(f"{opening}{_describe_cause(account, cause)}")
+    if len(causes) > MOST:
+        lines.append(f"And {len(causes) - MOST} more.")
+    if account.not_passed:  # only if the first cause is a road user
+        lines.append(f"{causes[0].who} is not passed: {'; '.join(account.not_passed)}.")
+    return lines
+
+
+def _worth_naming(causes: list[Cause]) -> list[Cause]:
+    """The causes, without inferred ones that need much less deceleration than the first one."""
+    if not causes or not isfinite(causes[0].need_mps2):
+        return causes
+    least_mps2 = SHARE * causes[0].need_mps2
+    return [cause for cause in causes if not (cause.inferred and cause.need_mps2 < least_mps2)]
+
+
+def _opening(account: Account) -> str:
+    """What the plan does, and from when on if it only slows down later."""
     course = account.course
-    late = (
-        f"from t = {account.t + course.t_brakes:.1f} s on"
-        if course.t_brakes >= STEP_S
-        else "at first"
+    if course.action in OPENINGS:
+        return OPENINGS[course.action]
+    if course.t_brakes >= STEP_S:
+        return f"Slows down from t = {account.t + course.t_brakes:.1f} s on"
+    return "Slows down at first"
+
+
+def _describe_cause(account: Account, cause: Cause) -> str:
+    """The rest of a sentence that begins with what the plan does."""
+    if cause.kind is CauseKind.NONE:
+        return f"; no cause found{_describe_unexplained(account, cause)}"
+    mark = cause.decision
+    if cause.inferred:
+        mark = f"inferred; the planner decided: {mark}" if mark else "inferred"
+    name = NAMES.get(cause.kind, cause.who)
+    return f" for {name} ({mark}): {_join(cause.reason, _numbers(account, cause))}."
+
+
+def _describe_unexplained(account: Account, cause: Cause) -> str:
+    """What was looked for in vain, and the nearest road user on the way of the ego."""
+    if isfinite(cause.value):
+        return f" that requires its braking of {cause.value:.1f} m/s²."
+    if not account.predicted:
+        return ": the trace does not hold the predictions that the planner used."
+    words = (
+        f": {_describe_held_plan(account, cause)} it would meet no road user ahead of it within "
+        f"{cause.time_s:.0f} s, and no limit, curve, stop line, goal or end of the road within "
+        f"{cause.distance_m:.0f} m requires braking."
     )
-    opening = OPENINGS.get(course.action, f"Slows down {late}")
-    for cause in rest[:MOST]:
-        if cause.kind is CauseKind.NONE:
-            if isfinite(cause.value):
-                lines.append(
-                    f"{opening}; no cause found that takes its braking of {cause.value:.1f} m/s²."
-                )
-                opening = "Also"
-                continue
-            near = (
-                f" {cause.who}, {cause.away_m:.1f} m away, is on its way, but would not be met."
-                if cause.who
-                else ""
-            )
-            nothing = "the trace does not hold the predictions that the planner used."
-            if account.predicted:
-                nothing = (
-                    f"{_describe_held_plan(account, cause)} it would meet no road user ahead of it "
-                    f"within {cause.time_s:.0f} s, and no limit, curve, stop line, goal or end of "
-                    f"the road within {cause.distance_m:.0f} m requires braking.{near}"
-                )
-            lines.append(f"{opening}; no cause found: {nothing}")
-            opening = "Also"
-            continue
-        mark = cause.decision if not cause.inferred else "inferred"
-        if cause.inferred and cause.decision:
-            mark = f"inferred; the planner decided: {cause.decision}"
-        name = NAMES.get(cause.kind, cause.who)
-        lines.append(
-            f"{opening} for {name} ({mark}): {_join(cause.reason, _numbers(account, cause))}."
-        )
-        opening = "Also"
-    if len(rest) > MOST:
-        lines.append(f"And {len(rest) - MOST} more.")
-    return (
-        [*lines, f"{rest[0].who} is not passed: {'; '.join(account.not_passed)}."]
-        if account.not_passed
-        else lines
-    )
+    if not cause.who:
+        return words
+    return f"{words} {cause.who}, {cause.away_m:.1f} m away, is on its way, but would not be met."
 
 
 def brief(account: Account) -> str:
@@ -100,11 +107,11 @@ def brief(account: Account) -> str:
         return f"fallback: {_join(cause.who, cause.reason)}"
     if cause.kind is CauseKind.NONE:
         return "no cause found"
-    takes = f", which takes {cause.need_mps2:.1f} m/s²" if isfinite(cause.need_mps2) else ""
-    return (
-        f"for {NAMES.get(cause.kind, cause.who)} "
-        f"({'inferred' if cause.inferred else cause.decision}){takes}"
-    )
+    mark = "inferred" if cause.inferred else cause.decision
+    words = f"for {NAMES.get(cause.kind, cause.who)} ({mark})"
+    if not isfinite(cause.need_mps2):
+        return words
+    return f"{words}, which takes {cause.need_mps2:.1f} m/s²"
 
 
 def conflicts(account: Account) -> list[Cause]:
@@ -150,16 +157,12 @@ def _numbers(account: Account, cause: Cause) -> str:
                 would = f"it would come within {GAP_M:g} m of them in {cause.time_s:.1f} s, {place}"
             else:
                 would = f"it would follow by less than {HEADWAY_S:g} s from {cause.time_s:.1f} s on"
-            left = (
-                f"the plan keeps {cause.left_m:.1f} m or more, the least in {cause.left_at_s:.1f} s"
-            )
             need = _describe_needed_braking("staying behind", cause)
-            return _join(
-                f"{cause.away_m:.1f} m away",
-                f"{held} {would}",
-                need,
-                left if isfinite(cause.left_m) else "",
-            )
+            left = ""
+            if isfinite(cause.left_m):
+                left = f"the plan keeps {cause.left_m:.1f} m or more, the least in "
+                left += f"{cause.left_at_s:.1f} s"
+            return _join(f"{cause.away_m:.1f} m away", f"{held} {would}", need, left)
         case CauseKind.STOP:
             return _join(
                 f"{place}, {held} in {cause.time_s:.1f} s",
@@ -190,17 +193,16 @@ def _numbers(account: Account, cause: Cause) -> str:
             return _join(
                 f"the map ends {place}", _describe_needed_braking("stopping before it", cause)
             )
-    away = f"{cause.away_m:.1f} m away" if isfinite(cause.away_m) else ""
-    return (
-        f"near its way, but not met {held}"
-        if cause.inferred
-        else _join(away, "a decision of the planner alone")
-    )
+        case _:  # WORD: a decision of the planner without a need that is known
+            if cause.inferred:
+                return f"near its way, but not met {held}"
+            away = f"{cause.away_m:.1f} m away" if isfinite(cause.away_m) else ""
+            return _join(away, "a decision of the planner alone")
 
 
-def _describe_needed_braking(what: str, cause: Cause) -> str:
+def _describe_needed_braking(purpose: str, cause: Cause) -> str:
     if not isfinite(cause.need_mps2):
         return ""
-    return f"{what} takes " + (
-        f"{cause.need_mps2:.1f} m/s²" if cause.need_mps2 >= 0.05 else "less than 0.05 m/s²"
-    )
+    if cause.need_mps2 < 0.05:
+        return f"{purpose} takes less than 0.05 m/s²"
+    return f"{purpose} takes {cause.need_mps2:.1f} m/s²"

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
+from roads import along_x, curve, lanes, strip
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
-from worlds import along_x, curve, lanes, strip
 
 from replan.logs.readers.commonroad import read_commonroad
 from replan.logs.road import Goal, Lane, Road

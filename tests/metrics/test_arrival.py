@@ -9,7 +9,7 @@ import pytest
 from drives import along, drive, grid, scenario
 from handmade import square
 from hypothesis import given, settings, strategies as st
-from worlds import strip
+from roads import strip
 
 from replan.logs.edit.cut import cut
 from replan.logs.edit.variations import varied

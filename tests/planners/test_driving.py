@@ -6,21 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from worlds import (
-    CAR,
-    Drive,
-    Other,
-    along_x,
-    check_mirrored,
-    curve,
-    decided,
-    driving,
-    followed,
-    frame,
-    gaps,
-    lanes,
-    standing,
-)
+from followed import Drive, check_mirrored, decided, followed, gaps
+from roads import along_x, curve, lanes
+from scenes import CAR, Other, driving, frame, standing
 
 from replan.logs.agents import AgentKind
 from replan.logs.catalogue import CATALOGUE

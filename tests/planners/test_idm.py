@@ -2,22 +2,10 @@
 
 import numpy as np
 import pytest
+from followed import Drive, decided, followed, gaps
 from hypothesis import given, strategies as st
-from worlds import (
-    CAR,
-    Drive,
-    Other,
-    along_x,
-    beside,
-    decided,
-    driving,
-    followed,
-    frame,
-    gaps,
-    lanes,
-    standing,
-    strip,
-)
+from roads import along_x, beside, lanes, strip
+from scenes import CAR, Other, driving, frame, standing
 
 from replan.logs.frame import PlannerContext
 from replan.logs.plan import DecisionKind, PlanStart, StGraph

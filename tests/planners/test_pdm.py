@@ -4,23 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from followed import Drive, followed, gaps
 from hypothesis import given, strategies as st
-from worlds import (
-    CAR,
-    Drive,
-    Other,
-    along_x,
-    driving,
-    followed,
-    frame,
-    gaps,
-    lanes,
-    path_of,
-    reference,
-    scene,
-    standing,
-    two_way,
-)
+from roads import along_x, lanes, two_way
+from scenes import CAR, Other, driving, frame, path_of, reference, scene, standing
 
 from replan.core.arrays import FloatArray
 from replan.logs.agents import AgentKind

@@ -6,21 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from followed import followed, gaps, planner
 from hypothesis import assume, given, settings, strategies as st
-from worlds import (
-    CAR,
-    Other,
-    along_x,
-    curve,
-    driving,
-    followed,
-    frame,
-    gaps,
-    lanes,
-    planner,
-    standing,
-    strip,
-)
+from roads import along_x, curve, lanes, strip
+from scenes import CAR, Other, driving, frame, standing
 
 from replan.core.arrays import FloatArray
 from replan.logs.frame import Frame

@@ -8,21 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from followed import PERIOD_S, decided, followed, gaps, planner
 from hypothesis import given, settings, strategies as st
-from worlds import (
-    CAR,
-    PERIOD,
-    Other,
-    along_x,
-    decided,
-    driving,
-    followed,
-    frame,
-    gaps,
-    lanes,
-    planner,
-    standing,
-)
+from roads import along_x, lanes
+from scenes import CAR, Other, driving, frame, standing
 
 from replan.logs.agents import AgentKind
 from replan.logs.catalogue import CATALOGUE
@@ -89,11 +78,11 @@ def plans_in(scenario: Scenario, *, every: int, closed: bool) -> list[Plan]:
     frames.
     """
     context = PlannerContext(
-        scenario.road, scenario.goal, scenario.vehicle, PERIOD, scenario.ego.state(0)
+        scenario.road, scenario.goal, scenario.vehicle, PERIOD_S, scenario.ego.state(0)
     )
     driver, previous, ego, found = DpQp(context), None, scenario.ego.state(0), []
-    for k in range(int(scenario.ego.t[-1] / PERIOD)):
-        t = round(k * PERIOD, 9)
+    for k in range(int(scenario.ego.t[-1] / PERIOD_S)):
+        t = round(k * PERIOD_S, 9)
         if not closed and k % every:
             continue
         known = scenario.tracks.perceived(t)
@@ -105,7 +94,7 @@ def plans_in(scenario: Scenario, *, every: int, closed: bool) -> list[Plan]:
             previous if closed else None,
         )
         previous = driver.plan(now)
-        ego = previous.trajectory.at(t + PERIOD)
+        ego = previous.trajectory.at(t + PERIOD_S)
         if k % every == 0:
             found.append(previous)
     return found
@@ -159,7 +148,7 @@ def test_a_moved_world_has_the_moved_plan(
 @pytest.mark.parametrize("name", ["paper/crossing_pedestrian", "everyday/cut_in"])
 def test_the_future_of_the_log_changes_nothing(name: str) -> None:
     log = CATALOGUE[name].scenario()
-    context = PlannerContext(log.road, log.goal, log.vehicle, PERIOD, log.ego.state(0))
+    context = PlannerContext(log.road, log.goal, log.vehicle, PERIOD_S, log.ego.state(0))
     for t in (0.0, 4.0, 7.3, 12.0):
         known, less = (
             log.tracks.perceived(t),
@@ -546,9 +535,9 @@ def test_the_rest_of_a_previous_plan_is_driven_to_its_end(monkeypatch: pytest.Mo
     failing(PathQp, monkeypatch)
     ego, statuses = previous.trajectory.at(0.1), []
     for k in range(1, 80):
-        previous = driver.plan(frame(ego, t=k * PERIOD, previous=previous))
+        previous = driver.plan(frame(ego, t=k * PERIOD_S, previous=previous))
         statuses.append(previous.status)
-        ego = previous.trajectory.at((k + 1) * PERIOD)
+        ego = previous.trajectory.at((k + 1) * PERIOD_S)
         assert_sound(previous)
     first_stop = statuses.index(PlanStatus.COMFORTABLE_STOP)
     assert 48 <= first_stop <= 51 and set(statuses[:first_stop]) == {PlanStatus.PREVIOUS}
@@ -603,7 +592,7 @@ def test_an_unlikely_hypothesis_binds_only_where_moderate_braking_would_come_too
 )
 def test_the_least_costs_of_a_lane_follow_the_settings(config: LaneConfig) -> None:
     """A change that is not due for long costs `route_s`, one that is due now `urgency_s` more."""
-    context = PlannerContext(ONE, None, CAR, PERIOD, EGO)
+    context = PlannerContext(ONE, None, CAR, PERIOD_S, EGO)
     strip = LaneSequences(context).start(EGO)
     for due, urgent in ((1e6, 0.0), (0.0, 1.0)):
         driver = LanePlanner(
@@ -619,7 +608,7 @@ def test_the_least_costs_of_a_lane_follow_the_settings(config: LaneConfig) -> No
 
 def test_a_lane_that_was_not_planned_for_long_is_found_again() -> None:
     """The foot point is looked for near the last one, but not where the ego has driven on since."""
-    context = PlannerContext(ONE, None, CAR, PERIOD, EGO)
+    context = PlannerContext(ONE, None, CAR, PERIOD_S, EGO)
     driver = LanePlanner(LaneSequences(context).start(EGO), context)
     first = driver.scene(frame(EGO), EGO, LaneMemory())
     _, memory = driver.plan("keep", first, LaneMemory())

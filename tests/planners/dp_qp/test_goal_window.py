@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from handmade import track, tracks
 from hypothesis import given, strategies as st
-from worlds import CAR, along_x, lanes, reference
+from roads import along_x, lanes
+from scenes import CAR, reference
 
 from replan.core.arrays import FloatArray
 from replan.logs.catalogue import CATALOGUE

@@ -6,21 +6,10 @@ from dataclasses import fields, is_dataclass, replace
 
 import numpy as np
 import pytest
+from followed import PERIOD_S, Drive, followed, planner
 from hypothesis import given, strategies as st
-from worlds import (
-    CAR,
-    PERIOD,
-    Drive,
-    Other,
-    along_x,
-    driving,
-    followed,
-    frame,
-    lanes,
-    planner,
-    standing,
-    two_way,
-)
+from roads import along_x, lanes, two_way
+from scenes import CAR, Other, driving, frame, standing
 
 from replan.logs.agents import AgentKind
 from replan.logs.frame import PlannerContext
@@ -72,7 +61,7 @@ def same(one: object, two: object) -> bool:
 
 
 def lane_planner() -> LanePlanner:
-    context = PlannerContext(two_way(), None, CAR, PERIOD, EGO)
+    context = PlannerContext(two_way(), None, CAR, PERIOD_S, EGO)
     return LanePlanner(LaneSequences(context).start(EGO), context)
 
 
@@ -103,7 +92,7 @@ def test_the_same_scene_and_memory_give_the_same_plan_and_memory(
     driver, other = lane_planner(), lane_planner()
     memory, past, ego, kept = LaneMemory(), PassMemory(), EGO, set()
     for k in range(40):
-        now = frame(ego, others, t=k * PERIOD)
+        now = frame(ego, others, t=k * PERIOD_S)
         before = deepcopy((memory, past))
         scene = driver.scene(now, ego, memory)
         keep, after = driver.plan("keep", scene, memory)
@@ -124,7 +113,7 @@ def test_the_same_scene_and_memory_give_the_same_plan_and_memory(
         x, y, yaw, kappa = (
             float(np.interp(s, way.sigma, c)) for c in (way.x, way.y, way.yaw, way.kappa)
         )
-        ego = EgoState((k + 1) * PERIOD, x, y, yaw, float(v), float(a), kappa)
+        ego = EgoState((k + 1) * PERIOD_S, x, y, yaw, float(v), float(a), kappa)
     assert kept == remembered  # that is: there was something to remember
 
 

@@ -8,9 +8,11 @@ from itertools import groupby
 
 import numpy as np
 import pytest
+from cap_views import limit_of, view
 from handmade import track, tracks
 from hypothesis import given, settings, strategies as st
-from worlds import CAR, Other, along_x, driving, lanes, limit_of, reference, scene, two_way, view
+from roads import along_x, lanes, two_way
+from scenes import CAR, Other, driving, reference, scene
 
 from replan.core.arrays import FloatArray
 from replan.logs.agents import AgentKind

@@ -7,7 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from worlds import Drive, Other, driving, followed, gaps, reference, scene, standing, strip, two_way
+from followed import Drive, followed, gaps
+from roads import strip, two_way
+from scenes import Other, driving, reference, scene, standing
 
 from replan.logs.agents import AgentKind
 from replan.logs.plan import DecisionKind, PlanStatus

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from drives import along, grid, moving, scenario
+from followed import PERIOD_S
 from hypothesis import example, given, settings, strategies as st
-from worlds import PERIOD, along_x, lanes, strip
+from roads import along_x, lanes, strip
 
 from replan.logs.agents import AgentKind
 from replan.logs.catalogue import CATALOGUE
@@ -41,7 +42,7 @@ def parted(one: Plan, two: Plan, turn: float = 0.0) -> float:
 
 def plans_of(log: Scenario, times: tuple[float, ...]) -> list[Plan]:
     """Plans from the logged states, each with fresh memory."""
-    driver = DpQp(PlannerContext(log.road, log.goal, log.vehicle, PERIOD, log.ego.state(0)))
+    driver = DpQp(PlannerContext(log.road, log.goal, log.vehicle, PERIOD_S, log.ego.state(0)))
     known = [(log.ego.at(t), log.tracks.perceived(t)) for t in times]
     return [
         driver.plan(Frame(t, ego, now, predict(now, t)))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings, strategies as st
-from worlds import curve
+from roads import curve
 
 from replan.core.arrays import FloatArray
 from replan.logs.reference_line import ReferenceLine

@@ -6,7 +6,8 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
-from worlds import CAR, along_x, beside, curve, lanes, strip
+from roads import along_x, beside, curve, lanes, strip
+from scenes import CAR
 
 from replan.core.arrays import FloatArray
 from replan.logs.reference_line import ReferenceLine

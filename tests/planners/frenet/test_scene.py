@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
-from worlds import CAR, Other, curve, lanes, reference, scene
+from roads import curve, lanes
+from scenes import CAR, Other, reference, scene
 
 from replan.core.arrays import FloatArray
 from replan.logs.agents import AgentKind

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
-from worlds import CAR, Other, along_x, driving, path_of, reference, scene, standing
+from roads import along_x
+from scenes import CAR, Other, driving, path_of, reference, scene, standing
 
 from replan.core.arrays import FloatArray
 from replan.logs.agents import AgentKind

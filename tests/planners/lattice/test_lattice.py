@@ -2,23 +2,10 @@
 
 import numpy as np
 import pytest
+from followed import Drive, decided, followed, gaps
 from hypothesis import given, settings, strategies as st
-from worlds import (
-    CAR,
-    Drive,
-    Other,
-    along_x,
-    curve,
-    decided,
-    driving,
-    followed,
-    frame,
-    gaps,
-    lanes,
-    reference,
-    scene,
-    standing,
-)
+from roads import along_x, curve, lanes
+from scenes import CAR, Other, driving, frame, reference, scene, standing
 
 from replan.logs.frame import Frame, PlannerContext
 from replan.logs.plan import Candidates, CostTerms, DecisionKind, Plan, PlanStatus, SlGraph, StGraph

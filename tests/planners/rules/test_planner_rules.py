@@ -10,8 +10,10 @@ from functools import cache
 import handmade
 import numpy as np
 import pytest
+from followed import PERIOD_S
 from hypothesis import given, settings, strategies as st
-from worlds import CAR, PERIOD, Other, agents, along_x, driving, standing, strip
+from roads import along_x, strip
+from scenes import CAR, Other, agents, driving, standing
 
 from replan.core.arrays import FloatArray
 from replan.logs.agents import AgentKind
@@ -133,17 +135,17 @@ def drive(
 ) -> tuple[Trajectory, list[Plan]]:
     """How the ego moves when it follows each plan without any error, and the plans."""
     planner, previous, states, plans = (
-        PLANNER.builtin[name](PlannerContext(road, None, CAR, PERIOD, ego)),
+        PLANNER.builtin[name](PlannerContext(road, None, CAR, PERIOD_S, ego)),
         None,
         [],
         [],
     )
-    for k in range(round(seconds / PERIOD)):
-        now = frame_of(ego, others, lights(k * PERIOD), t=k * PERIOD, previous=previous)
+    for k in range(round(seconds / PERIOD_S)):
+        now = frame_of(ego, others, lights(k * PERIOD_S), t=k * PERIOD_S, previous=previous)
         previous = planner.plan(now)
-        states.append(replace(ego, t=k * PERIOD))
+        states.append(replace(ego, t=k * PERIOD_S))
         plans.append(previous)
-        ego = previous.trajectory.at((k + 1) * PERIOD)
+        ego = previous.trajectory.at((k + 1) * PERIOD_S)
     columns = [
         [getattr(state, column) for state in states]
         for column in ("t", "x", "y", "yaw", "v", "a", "kappa")
@@ -201,7 +203,7 @@ def test_a_green_light_changes_no_bit_of_the_plan(
     ego = at_front(LINE_X - ahead, v)
     others = [driving("car", ego.x + CAR.axle_to_front + gap, 0.0, 6.0)]
     plans = [
-        PLANNER.builtin[name](PlannerContext(road, None, CAR, PERIOD, ego)).plan(
+        PLANNER.builtin[name](PlannerContext(road, None, CAR, PERIOD_S, ego)).plan(
             frame_of(ego, others, {9: Colour.GREEN})
         )
         for road in (straight(LIGHT), straight())

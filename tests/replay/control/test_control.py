@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from followed import controlled
 from handmade import drive, s_curve
 from hypothesis import given, strategies as st
-from worlds import controlled
 
 from replan.logs.states import EgoState, Trajectory
 from replan.logs.vehicle import VehicleParameters

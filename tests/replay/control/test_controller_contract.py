@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from drives import along, grid
+from followed import controlled
 from handmade import drive, s_curve
 from hypothesis import given, settings, strategies as st
-from worlds import controlled
 
 from replan.logs.catalogue import CATALOGUE
 from replan.logs.plan import Plan

@@ -9,10 +9,10 @@ from math import sin
 
 import numpy as np
 import pytest
+from followed import controlled
 from handmade import drive, s_curve
 from hypothesis import given, settings, strategies as st
 from scipy.linalg import solve_discrete_are
-from worlds import controlled
 
 from replan.core.errors import ConfigError
 from replan.logs.plan import Plan

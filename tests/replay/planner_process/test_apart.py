@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from handmade import drive, lanes_along, scenario, straight, track, tracks
 from process_tree import are_gone, descendants, started
-from worlds import perceive
+from scenes import perceive
 
 from replan.config import RunConfig
 from replan.core.errors import ConfigError, PlannerError

@@ -9,7 +9,7 @@ import pytest
 from command_line import replan
 from handmade import drive, lanes_along, scenario, straight, track, tracks
 from map_planners import IdmInMap
-from worlds import perceive
+from scenes import perceive
 
 from replan import evaluate
 from replan.contract.planner_rules import check_planner, context_of

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from handmade import track, tracks
 from hypothesis import given, settings, strategies as st
-from worlds import curve, lanes
+from roads import curve, lanes
 
 from replan.core.arrays import FloatArray
 from replan.logs.agents import AgentKind, Agents

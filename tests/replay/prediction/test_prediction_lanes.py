@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
-from worlds import curve, lanes, strip
+from roads import curve, lanes, strip
 
 from replan.core.arrays import FloatArray
 from replan.logs.agents import AgentKind, Agents

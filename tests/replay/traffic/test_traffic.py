@@ -12,7 +12,7 @@ import pytest
 from drives import moved as moved_world
 from handmade import drive, scenario, straight, track, tracks
 from hypothesis import given, settings, strategies as st
-from worlds import along_x, lanes, strip
+from roads import along_x, lanes, strip
 
 from replan.core.arrays import FloatArray
 from replan.core.errors import LogError

@@ -5,7 +5,7 @@ and can be steered.
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings, strategies as st
-from worlds import CAR
+from scenes import CAR
 
 from replan.core.arrays import FloatArray
 from replan.planners.dp_qp.path.corridor import COMFORT, MAX_DL

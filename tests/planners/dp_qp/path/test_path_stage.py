@@ -6,8 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from followed import PERIOD_S
 from hypothesis import assume, given, settings, strategies as st
-from worlds import CAR, PERIOD, Other, along_x, curve, driving, lanes, reference, scene, standing
+from roads import along_x, curve, lanes
+from scenes import CAR, Other, driving, reference, scene, standing
 
 from replan.core.arrays import FloatArray
 from replan.logs.frame import PlannerContext
@@ -217,7 +219,9 @@ def test_a_lane_is_borrowed_only_beside_an_obstacle() -> None:
 
 
 def stage(along: ReferencePath, config: PathConfig = CONFIG) -> PathStage:
-    context = PlannerContext(lanes(along_x()), None, CAR, PERIOD, EgoState(0.0, 0.0, 0.0, 0.0, 0.0))
+    context = PlannerContext(
+        lanes(along_x()), None, CAR, PERIOD_S, EgoState(0.0, 0.0, 0.0, 0.0, 0.0)
+    )
     return PathStage(
         context, config, GoalWindow(None, along, CAR), horizon=8.0, curve_accel_mps2=3.0
     )

@@ -9,8 +9,11 @@ from math import inf
 
 import numpy as np
 import pytest
+from cap_views import view
+from followed import followed
 from hypothesis import given, strategies as st
-from worlds import CAR, Other, along_x, followed, lanes, path_of, reference, scene, view
+from roads import along_x, lanes
+from scenes import CAR, Other, path_of, reference, scene
 
 from replan.core.arrays import FloatArray
 from replan.logs.agents import AgentKind

@@ -9,8 +9,10 @@ from types import MappingProxyType
 
 import numpy as np
 import pytest
+from cap_views import limit_of, view
 from hypothesis import given, strategies as st
-from worlds import CAR, Other, agents, along_x, limit_of, path_of, reference, scene, view
+from roads import along_x
+from scenes import CAR, Other, agents, path_of, reference, scene
 
 from replan.logs.agents import AgentKind
 from replan.logs.catalogue import CATALOGUE

@@ -4,19 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from followed import planner
 from hypothesis import given, strategies as st
-from worlds import (
-    Other,
-    along_x,
-    driving,
-    frame as frame_of,
-    lanes,
-    path_of,
-    planner,
-    reference,
-    scene,
-    standing,
-)
+from roads import along_x, lanes
+from scenes import Other, driving, frame as frame_of, path_of, reference, scene, standing
 
 from replan.logs.agents import AgentKind
 from replan.logs.frame import Frame

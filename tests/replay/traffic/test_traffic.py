@@ -702,9 +702,8 @@ def test_the_world_stands_with_the_ego_until_it_is_stuck_and_then_goes_on_withou
     )
     assert np.ptp(held) < 0.05
     np.testing.assert_allclose(np.diff(released), -0.2, atol=1e-6)
-    (
-        np.testing.assert_allclose(np.diff(after), -0.2, atol=0.03),
-        "no freeze and no jump when the ego drives on",
+    np.testing.assert_allclose(
+        np.diff(after), -0.2, atol=0.03, err_msg="a freeze or a jump when the ego drives on"
     )
 
 

@@ -73,7 +73,8 @@ class NuplanPolyline(PolylineMapObject):
         if self._path is None:
             steps = np.diff(self._line, axis=0)
             stations = np.r_[0.0, np.cumsum(np.hypot(*steps.T))]
-            wanted = np.r_[np.arange(0.0, stations[-1] - 1e-3, SPACING_M), stations[-1]]
+            inner = np.arange(0.0, stations[-1] - 1e-3, SPACING_M)
+            wanted: NDArray[np.float64] = np.append(inner, stations[-1])
             x, y = (np.interp(wanted, stations, self._line[:, axis]) for axis in (0, 1))
             places = np.clip(np.searchsorted(stations, wanted, side="right") - 1, 0, len(steps) - 1)
             heading = np.arctan2(steps[places, 1], steps[places, 0])

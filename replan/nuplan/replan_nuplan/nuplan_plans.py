@@ -70,7 +70,7 @@ def _from_speed(t: Floats, x: Floats, y: Floats, first: float) -> tuple[Floats, 
     u = t[: k + 1] / t[k]
     begin = max(first, 0.0)
     gained = t[k] * (begin * u + 0.5 * (v[k] - begin) * u * u)
-    stations = np.r_[gained, s[k + 1 :] + gained[-1] - s[k]]
+    stations: Floats = np.append(gained, s[k + 1 :] + gained[-1] - s[k])
     speeds = np.r_[first, (begin + (v[k] - begin) * u)[1:], v[k + 1 :]]
     longer = np.r_[s, s[-1] + 100.0]  # straight on, where the stations reach beyond its end
     dx, dy = _direction(x, y)

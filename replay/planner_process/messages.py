@@ -331,12 +331,13 @@ def shortened(text: str) -> str:
 
 def context_message(context: frame.PlannerContext) -> Context:
     """The message of a context."""
-    return message_of(Context, context)
+    return message_of(Context, context, light_lanes=dict(context.light_lanes))
 
 
 def context_of(message: Context, lap: Callable[[str], None]) -> frame.PlannerContext:
     """The context of a message; `lap` is the planner's clock."""
-    return noun_of(frame.PlannerContext, message, lap=lap)
+    light_lanes = dict(message.light_lanes)  # ids, no nouns by id
+    return noun_of(frame.PlannerContext, message, lap=lap, light_lanes=light_lanes)
 
 
 def frame_message(now: frame.Frame) -> Frame:

@@ -1,5 +1,5 @@
 """The route that planners are shown, for every log: lanes in driving order, each a successor or
-neighbour of the one before.
+neighbour of the one before, but for (3) where the lanes under the drive do not lead on.
 
 (1) through the lanes that the log names (`Road.route`), as far as they lead on from the ego
 (2) else to the goal (`replan.logs.route.find_route`)
@@ -13,12 +13,19 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from enum import Enum
 
+import numpy as np
+
+from replan.logs.polylines import thinned
 from replan.logs.road import Goal, Road
 from replan.logs.route import find_route, goal_lanes, start_lanes, straight_on
 from replan.logs.states import EgoState, Trajectory
 
 BEYOND_M = 250.0
 """A route goes on for this length: more than 8 s at 110 km/h."""
+
+
+SPACING_M = 1.0
+"""Distance between the points of a drive whose lanes are looked for."""
 
 
 class RouteSource(Enum):
@@ -31,7 +38,7 @@ class RouteSource(Enum):
 
 @dataclass(frozen=True, slots=True)
 class LaneRoute:
-    """The lanes of a route in driving order, and what it follows; empty if nobody asked."""
+    """The lanes of a route in driving order, and what it follows; empty for built-in planners."""
 
     lanes: tuple[int, ...] = ()
     source: RouteSource = RouteSource.GOAL
@@ -76,7 +83,7 @@ def _driven(road: Road, start: EgoState, drive: Trajectory) -> tuple[int, ...]:
     it leads to, then any.
     """
     lanes = [start_lanes(road, start)[0]]
-    for x, y in zip(drive.x.tolist(), drive.y.tolist(), strict=True):
+    for x, y in thinned(np.column_stack([drive.x, drive.y]), SPACING_M).tolist():
         under = [lane.id for lane in road.lanes_at(x, y) if lane.drivable]
         last = road.lanes[lanes[-1]]
         if under and last.id not in under:

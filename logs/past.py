@@ -12,6 +12,7 @@ on its arc, and no agent was seen. nuPlan's planners get the same: 21 steps of 0
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
@@ -107,6 +108,18 @@ def _nothing_before(times: Sequence[float]) -> Sequence[Snapshot]:
     return ()
 
 
+def _times(t: float) -> list[float]:
+    """The times (1), oldest first, in whole nanoseconds."""
+    now_ns = round(1e9 * t)
+    return [(now_ns - k * STEP_NS) / 1e9 for k in range(PAST_STEPS, 0, -1)]
+
+
+def forget(snapshots: deque[Snapshot], t: float) -> None:
+    """Remove the snapshots, in order of time, that no past from `t` on needs."""
+    while len(snapshots) > 1 and snapshots[1].t <= t - PAST_S + SAME_TIME_S:
+        snapshots.popleft()
+
+
 def _fill(columns: FloatArray, seen: BoolArray, t: FloatArray) -> None:
     """Give agents that were not seen their next state, moved back, else their last one, moved on.
 
@@ -138,20 +151,26 @@ class Earlier:
 
     def steps(self, now: Snapshot) -> list[Snapshot]:
         """The snapshots at the times (1), oldest first."""
-        now_ns = round(1e9 * now.t)
-        times = [(now_ns - k * STEP_NS) / 1e9 for k in range(PAST_STEPS, 0, -1)]
-        known = [*(self._moved(snapshot) for snapshot in self.snapshots), now]
-        early = [t for t in times if t < known[0].t - SAME_TIME_S]
-        before = [self._moved(snapshot) for snapshot in self.before(early)]
-        first = [*before, *known][0]
-        nobody = first.agents.some(np.empty(0, np.int64))
-        unknown = replace(first, agents=nobody, source=PastSource.HELD)
-        steps = [unknown.at(t) for t in early[: len(early) - len(before)]]
-        steps += before
-        for t in times[len(early) :]:
+        known = [*map(self._moved, self.snapshots), now]
+        steps = self._before_first(now.t, known[0])
+        for t in _times(now.t)[len(steps) :]:
             last = next(snapshot for snapshot in reversed(known) if snapshot.t <= t + SAME_TIME_S)
             steps.append(last.at(t))
         return steps
+
+    def known(self, now: Snapshot) -> list[Snapshot]:
+        """The steps before the first frame of the drive, oldest first, then its frames."""
+        frames = list(map(self._moved, self.snapshots))
+        return [*self._before_first(now.t, [*frames, now][0]), *frames]
+
+    def _before_first(self, t: float, first: Snapshot) -> list[Snapshot]:
+        """The steps before the first frame that is known: of the log, and before it held."""
+        early = [time for time in _times(t) if time < first.t - SAME_TIME_S]
+        before = list(map(self._moved, self.before(early)))
+        begin = [*before, first][0]
+        no_agents = begin.agents.some(np.empty(0, np.int64))
+        unknown = replace(begin, agents=no_agents, source=PastSource.HELD)
+        return [*map(unknown.at, early[: len(early) - len(before)]), *before]
 
     def _moved(self, snapshot: Snapshot) -> Snapshot:
         x, y = self.offset
@@ -163,12 +182,6 @@ class Earlier:
             ego=replace(ego, x=ego.x + x, y=ego.y + y),
             agents=replace(agents, x=agents.x + x, y=agents.y + y),
         )
-
-    def known(self, now: Snapshot) -> list[Snapshot]:
-        """The steps before the first frame of the drive, oldest first, then its frames."""
-        frames = [self._moved(snapshot) for snapshot in self.snapshots]
-        begin = [*frames, now][0].t - SAME_TIME_S
-        return [*(step for step in self.steps(now) if step.t < begin), *frames]
 
     def past(self, now: Snapshot) -> Past:
         """The past of a snapshot; it is made anew at each call."""

@@ -161,7 +161,7 @@ def _check_frames(factory: Factory, scenario: Scenario, findings: Findings) -> N
     """Check the rules about single frames; the frames of one planner follow each other."""
 
     def build(seen_scenario: Scenario) -> Planner:
-        return Asking.of(factory, built(factory, context_of(seen_scenario)))
+        return WithAskedPast.of(factory, built(factory, context_of(seen_scenario)))
 
     first, second = (call(findings, "build", scenario.name, build, scenario) for _ in range(2))
     if first is None or second is None:
@@ -264,14 +264,14 @@ def check_plan(plan: object, frame: Frame, where: str, findings: Findings) -> No
         findings.add(rule, where, driven.reason)
 
 
-class Asking:
+class WithAskedPast:
     """A planner whose frames have a past only if its class asks for it, as in its own process."""
 
     def __init__(self, planner: Planner, asked: float) -> None:
         self._planner, self._asked = planner, asked
 
     @classmethod
-    def of(cls, factory: Factory, planner: Planner) -> Asking:
+    def of(cls, factory: Factory, planner: Planner) -> WithAskedPast:
         """A planner as its factory built it."""
         return cls(planner, past_s_of(factory))
 
@@ -298,7 +298,7 @@ def _check_closed_loop(factory: Factory, scenario: Scenario, findings: Findings)
 
         def __init__(self, *arguments: Any, **keywords: Any) -> None:
             super().__init__(*arguments, **keywords)
-            asking = Asking.of(factory, built(factory, self.context))
+            asking = WithAskedPast.of(factory, built(factory, self.context))
             self._planner = _WatchedPlanner(asking, scenario.name, findings)
 
     before = dict(findings.breaches)

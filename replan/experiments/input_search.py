@@ -72,7 +72,7 @@ STEPS = 12
 BESIDE = 0.01
 """Share by which a value is another one, at least itself."""
 SETTING_SHARES = (0.2, 0.6, 1.6, 5.0)
-NOBODY = InputChange("drop agents")
+NO_AGENTS = InputChange("drop agents")
 COLUMNS = ("t", "x", "y", "yaw", "v", "a")
 VEHICLES = frozenset({AgentKind.CAR, AgentKind.TRUCK, AgentKind.BUS})
 ON_FOOT_OR_BICYCLE = frozenset({AgentKind.PEDESTRIAN, AgentKind.BICYCLE})
@@ -230,7 +230,7 @@ class Reference:
         frame = changed(drive.frames, _of_frames(changes))[number]
         key = drive.log, _of_build(changes), _digest(frame)
         if key not in self._planned:
-            alone = replace(changed([frame], [NOBODY])[0], previous=None)
+            alone = replace(changed([frame], [NO_AGENTS])[0], previous=None)
             self._plan(drive, changes, alone)  # forgets what was before
             self._planned[key] = self._plan(drive, changes, frame, keep=True)
         return self._planned[key]
@@ -466,7 +466,7 @@ class InputSearch:
         return self._tried[key]
 
     def _to_glance_at(self, before: Sequence[Change], most: int) -> Places:
-        """The first places, at most so many, that changes do not explain."""
+        """The first places, at most `most`, that changes do not explain."""
         return tuple(
             islice((place for place in self.places if not self.at(before, (place,)).same), most)
         )

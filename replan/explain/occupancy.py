@@ -57,7 +57,7 @@ def occupied(
 ) -> Iterator[OccupiedStations]:
     """The predictions that occupy a part of a path; the time of their samples `(k,)` is free.
 
-    `roles`: who is vulnerable and who is passed; None: nobody.
+    `roles`: who is vulnerable and who is passed; None: no agent.
     """
     none = np.zeros(len(boxes.x), np.bool_)
     ego = Swept(car.axle_to_center, car.length, car.width, *margins, 0.0, 0.0)

@@ -11,6 +11,8 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
+from replan.core.errors import ConfigError
+
 PREFIX = "nuplan:"
 START = Path(__file__).with_name("start.py")
 """The program of the planner's process."""
@@ -19,9 +21,9 @@ START = Path(__file__).with_name("start.py")
 def nuplan_command(spec: str, table: Mapping[str, object]) -> list[str]:
     """The command of a planner's process; `table`: its table in the configuration, with `python`.
 
-    ValueError if the specification is no "nuplan:MODULE:CLASS".
+    ConfigError if the specification is no "nuplan:MODULE:CLASS".
     """
     target = spec.removeprefix(PREFIX)
     if target.count(":") != 1 or not all(target.split(":")):
-        raise ValueError(f"planner '{spec}': write nuplan:MODULE:CLASS")
+        raise ConfigError(f"planner '{spec}': write nuplan:MODULE:CLASS")
     return [str(table.get("python", sys.executable)), str(START), target]

@@ -16,7 +16,7 @@ from replan.core.arrays import FloatArray
 from replan.logs.agents import Agents
 from replan.logs.frame import Frame, Predictions, Visibility
 from replan.logs.nearby_tracks import NearbyTracks
-from replan.logs.past import PAST_S, SAME_TIME_S, Earlier, PastSource, Snapshot
+from replan.logs.past import SAME_TIME_S, Earlier, PastSource, Snapshot, forget
 from replan.logs.plan import Plan
 from replan.logs.rules import Colour
 from replan.logs.scenario import Scenario
@@ -89,8 +89,7 @@ class Perception:
     """
 
     def __init__(self, scenario: Scenario, config: LoopConfig) -> None:
-        self._config, self._log, self._lanes = config, scenario.tracks, LaneMap.of(scenario.road)
-        self._lights = scenario.lights
+        self._config, self._lanes = config, LaneMap.of(scenario.road)
         self._true = shows_truth(config.perception, scenario)
         self._sight = config.part("perception").build(scenario, config)
         self._scenario = scenario
@@ -118,7 +117,7 @@ class Perception:
         if self.is_oracle:
             steps = round(config.prediction_horizon_s / config.prediction_step_s)
             predictions = logged_futures(
-                self._log, agents, t + config.prediction_step_s * np.arange(steps + 1)
+                self._scenario.tracks, agents, t + config.prediction_step_s * np.arange(steps + 1)
             )
         else:
             predictions = predict(
@@ -131,14 +130,13 @@ class Perception:
                 predictor=self._predictor,
             )
         lights = self._colours(t)
-        while self._snapshots and self._snapshots[0].t < t - PAST_S - config.plan_period_s:
-            self._snapshots.popleft()
+        forget(self._snapshots, t)
         earlier = Earlier(tuple(self._snapshots), self._before)
         self._snapshots.append(Snapshot(t, world.ego, agents, lights))
         return Frame(t, world.ego, agents, predictions, previous, visibility, lights, earlier)
 
     def _colours(self, t: float) -> dict[int, Colour]:
-        return {light.id: light.at(t) for light in self._lights}
+        return {light.id: light.at(t) for light in self._scenario.lights}
 
     def _before(self, times: Sequence[float]) -> list[Snapshot]:
         """What the log shows before the drive at times that it covers, seen anew."""

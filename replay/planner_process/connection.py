@@ -121,10 +121,7 @@ def _command(spec: str, table: Mapping[str, object]) -> list[str]:
     """The command that starts a foreign planner; ConfigError if it cannot be run."""
     if not spec.startswith(PREFIX):
         return command_of(spec)
-    try:
-        command = nuplan_command(spec, table)
-    except ValueError as error:
-        raise ConfigError(str(error)) from None
+    command = nuplan_command(spec, table)
     if shutil.which(command[0]) is None:
         raise ConfigError(f"planner '{spec}': there is no interpreter {command[0]} (its python)")
     return command

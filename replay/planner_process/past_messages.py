@@ -6,12 +6,14 @@ drive is therefore sent with the first frames, and only to planners that ask for
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
+from operator import attrgetter
 
 from replan.core.errors import PlannerError
 from replan.logs import frame as nouns
-from replan.logs.past import PAST_S, SAME_TIME_S, Earlier, Snapshot
+from replan.logs.past import PAST_S, SAME_TIME_S, Earlier, Snapshot, forget
 from replan.replay.parts import Factory
 from replan.replay.planner_process import messages
 
@@ -63,18 +65,16 @@ class ReceivedPast:
 
     def __init__(self, past_s: float) -> None:
         self._past_s = past_s
-        self._snapshots: list[Snapshot] = []
+        self._snapshots: deque[Snapshot] = deque()
 
     def frame(self, message: messages.Frame) -> nouns.Frame:
         """The frame of a message."""
         frame = messages.frame_of(message)
         if not self._past_s:
             return replace(frame, earlier=NOT_ASKED)
-        self._snapshots += map(messages.snapshot_of, message.earlier)
-        self._snapshots.sort(key=lambda snapshot: snapshot.t)
-        begin = frame.t - PAST_S
-        while len(self._snapshots) > 1 and self._snapshots[1].t <= begin + SAME_TIME_S:
-            del self._snapshots[0]
+        known = [*self._snapshots, *map(messages.snapshot_of, message.earlier)]
+        self._snapshots = deque(sorted(known, key=attrgetter("t")))
+        forget(self._snapshots, frame.t)
         before = [item for item in self._snapshots if item.t < frame.t - SAME_TIME_S]
         self._snapshots.append(frame.snapshot)
         return replace(frame, earlier=Earlier(tuple(before)))

@@ -32,6 +32,8 @@ STEP_S = 0.1
 """Step of a plan."""
 STANDS_M = 0.02
 """Steps shorter than this have the heading of the step before."""
+BEYOND_M = 100.0
+"""The path goes straight on for this length, where the stations (3) reach beyond its end."""
 Floats = NDArray[np.float64]
 
 
@@ -72,9 +74,9 @@ def _from_speed(t: Floats, x: Floats, y: Floats, first: float) -> tuple[Floats, 
     gained = t[k] * (begin * u + 0.5 * (v[k] - begin) * u * u)
     stations: Floats = np.append(gained, s[k + 1 :] + gained[-1] - s[k])
     speeds = np.r_[first, (begin + (v[k] - begin) * u)[1:], v[k + 1 :]]
-    longer = np.r_[s, s[-1] + 100.0]  # straight on, where the stations reach beyond its end
+    longer = np.append(s, s[-1] + BEYOND_M)
     dx, dy = _direction(x, y)
-    beyond_x, beyond_y = np.r_[x, x[-1] + 100.0 * dx], np.r_[y, y[-1] + 100.0 * dy]
+    beyond_x, beyond_y = np.append(x, x[-1] + BEYOND_M * dx), np.append(y, y[-1] + BEYOND_M * dy)
     return np.interp(stations, longer, beyond_x), np.interp(stations, longer, beyond_y), speeds
 
 

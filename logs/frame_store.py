@@ -1,7 +1,7 @@
 """Stores the frames of a long drive: after the first minute, the large parts of a plan are in a
 file.
 
-A plan's trajectory, graphs and costs, and the predictions, take most of its memory (46 of 47 kB
+A plan's trajectories, graphs and costs, and the predictions, take most of its memory (46 of 47 kB
 with thirty users). The first `WHOLE` frames are kept in memory; of later frames these parts go into
 an unnamed file and are read back at each access, equal to the bit. Everything else that metrics
 read stays in memory (`light`).
@@ -13,6 +13,7 @@ import pickle
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import overload
 
@@ -95,10 +96,11 @@ class FrameStore(Sequence[PlannedFrame]):
         )
         with writing(Path(tempfile.gettempdir())):
             self._file = self._file or Scratch()
-            path = SpilledTrajectory.put(frame.plan.trajectory, self._file)
+            spill = partial(SpilledTrajectory.put, file=self._file)
+            plan = frame.plan.changed(spill)
             self._places.append((self._file.put(data), len(data)))
         small = tuple(item for item in frame.plan.internals if not isinstance(item, _LARGE))
-        plan = replace(frame.plan, trajectory=path, internals=small)
+        plan = replace(plan, internals=small)
         self._frames.append(replace(frame, plan=plan, predictions=None, visibility=None))
 
     @property
@@ -134,7 +136,7 @@ class FrameStore(Sequence[PlannedFrame]):
             return frame
         place = self._places[index - self._whole]
         internals, predictions, visibility = pickle.loads(self._file.get(*place))
-        plan = replace(frame.plan, trajectory=loaded(frame.plan.trajectory), internals=internals)
+        plan = replace(frame.plan.changed(loaded), internals=internals)
         return replace(frame, plan=plan, predictions=predictions, visibility=visibility)
 
 

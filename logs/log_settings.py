@@ -85,7 +85,7 @@ class LogSettings:
     """
     topics: Mapping[str, str] = field(default_factory=dict)
     """Topic or file by role ("ego", "speed", "acceleration", "agents", "lights", "goal", "plan",
-    "steering" ...), to override the choice by type; "-": none.
+    "alternatives", "steering" ...), to override the choice by type; "-": none.
     """
     frames: Mapping[str, str] = field(default_factory=dict)
     """Name of the log's frame by role: "map" and "base" (rear axle) of transforms."""

@@ -15,7 +15,7 @@ from typing import ClassVar, overload
 import numpy as np
 
 from replan.core.arrays import FloatArray, IntArray, Points, frozen
-from replan.logs.states import Trajectory
+from replan.logs.states import Alternative, Trajectory
 
 
 class PlanStatus(Enum):
@@ -258,6 +258,8 @@ class Plan:
         reason: Reason of the status, in one sentence; empty for a plan without trouble.
         start: The state at which it begins.
         internals: Artefacts that the planner exposes; `Internals` if they are built only on access.
+        alternatives: The trajectories among which the planner chose, with scores, if it shows them:
+            the modes of a network, the candidates of a selector. They are judged and drawn.
     """
 
     trajectory: Trajectory
@@ -265,6 +267,12 @@ class Plan:
     reason: str = ""
     start: PlanStart = PlanStart.EGO
     internals: Sequence[Artefact] = ()
+    alternatives: tuple[Alternative, ...] = ()
+
+    def changed(self, change: Callable[[Trajectory], Trajectory]) -> Plan:
+        """Return the plan with all its trajectories changed."""
+        others = tuple(alternative.changed(change) for alternative in self.alternatives)
+        return replace(self, trajectory=change(self.trajectory), alternatives=others)
 
     def recorded(self, *, keep: bool) -> Plan:
         """Return the plan as a trace keeps it: with all internals if `keep`, else only with those

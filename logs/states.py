@@ -12,8 +12,9 @@ its rear axle.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
-from math import cos, floor, pi, sin
+from math import cos, floor, nan, pi, sin
 from typing import Any
 
 import numpy as np
@@ -261,8 +262,39 @@ class Controls:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class OnboardPlan:
-    """A plan that the on-board planner made during the recording."""
+class Alternative:
+    """One of the trajectories among which a planner chose.
 
-    known: float  # time from which the plan was available, s since the scenario's start
-    trajectory: Trajectory  # the planned trajectory, in the scenario's time and world
+    Attributes:
+        trajectory: States of the rear axle, from the plan's time on.
+        score: Higher is better; NaN: it has no score. The planner chose the one with the highest.
+        name: What produced it ("keep", "diffusion_planner"), or empty.
+    """
+
+    trajectory: Trajectory
+    score: float = nan
+    name: str = ""
+
+    def changed(self, change: Callable[[Trajectory], Trajectory]) -> Alternative:
+        """Return it with its trajectory changed."""
+        return replace(self, trajectory=change(self.trajectory))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class OnboardPlan:
+    """A plan that the on-board planner made during the recording.
+
+    Attributes:
+        known: Time from which the plan was available, s since the scenario's start.
+        trajectory: The planned trajectory, in the scenario's time and world.
+        alternatives: The trajectories among which it was chosen, where the log has them.
+    """
+
+    known: float
+    trajectory: Trajectory
+    alternatives: tuple[Alternative, ...] = ()
+
+    def changed(self, change: Callable[[Trajectory], Trajectory]) -> OnboardPlan:
+        """Return it with all its trajectories changed."""
+        others = tuple(alternative.changed(change) for alternative in self.alternatives)
+        return replace(self, trajectory=change(self.trajectory), alternatives=others)

@@ -24,6 +24,7 @@ from replan.logs.scenario import Scenario
 from replan.logs.trace import Trace
 from replan.metrics import (
     accuracy,
+    alternatives,
     arrival,
     collisions,
     comfort,
@@ -194,6 +195,18 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType(
             proposals.plan_kept,
             proposals.plan_kept_lateral,
         ),
+        "alternatives": (
+            alternatives.alternatives,
+            alternatives.min_ade,
+            alternatives.min_fde,
+            alternatives.min_miss,
+            alternatives.alternatives_spread,
+            alternatives.alternatives_off_road,
+            alternatives.alternatives_contact,
+            alternatives.selection_regret,
+            alternatives.nearest_chosen,
+            alternatives.brier,
+        ),
         "evidence": (
             evidence.coverage,
             progress.covered,
@@ -203,6 +216,7 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType(
             evidence.replay_contact,
             evidence.plan_refused,
             evidence.plan_corrected,
+            evidence.planned_afresh,
             evidence.ensemble,
             evidence.asked,
             evidence.discrimination,

@@ -237,6 +237,19 @@ def plan_corrected(trace: Trace, scenario: Scenario) -> Measured:
     return _with_status(PlanStatus.CORRECTED, trace, scenario)
 
 
+@metric(unit="1", better="none", modes=BOTH_LOOPS, reductions=(RATE,), needs="plans")
+def planned_afresh(trace: Trace, scenario: Scenario) -> Measured:
+    """Share of the frames at which the planner had no previous plan to continue (`Frame.previous`):
+    in open loop all, in closed loop the first.
+
+    Formula: frames without a previous plan / frames
+    """
+    if not trace.frames:
+        return NO_PLANS
+    t = frame_times(trace)
+    return Series(t, np.ones(len(t)) if trace.mode is Mode.OPEN else (t == t[0]).astype(float))
+
+
 @where_followed
 def _with_status(status: PlanStatus, trace: Trace, scenario: Scenario) -> Measured:
     """Mark the frames whose plan has a status; labels are the reasons."""

@@ -28,6 +28,7 @@ change.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -39,7 +40,7 @@ from replan.core.once import last, once
 from replan.logs.frame import PLAN_HORIZON_S
 from replan.logs.frame_store import light, loaded
 from replan.logs.scenario import Scenario
-from replan.logs.states import TRAJECTORY_COLUMNS
+from replan.logs.states import TRAJECTORY_COLUMNS, Trajectory
 from replan.logs.trace import Trace
 from replan.metrics.metric import BOTH_LOOPS, Measured, Series, Unavailable, metric, where_followed
 from replan.metrics.reductions import MAX, MEAN, MIN, P95, RATE, share_beyond
@@ -103,11 +104,25 @@ def _plan_rows(trace: Trace, begin: int) -> tuple[IntArray, FloatArray]:
     """Return the offsets `(f + 1,)` and `TRAJECTORY_COLUMNS` `(7, m)` of `PIECE` plans, beginning
     at a frame.
     """
-    plans = [loaded(frame.plan.trajectory) for frame in light(trace.frames)[begin : begin + PIECE]]
+    return _joined([frame.plan.trajectory for frame in light(trace.frames)[begin : begin + PIECE]])
+
+
+def _joined(trajectories: Sequence[Trajectory]) -> tuple[IntArray, FloatArray]:
+    """Return the offsets `(f + 1,)` and `TRAJECTORY_COLUMNS` `(7, m)` of trajectories."""
+    whole = [loaded(trajectory) for trajectory in trajectories]
     rows = np.stack(
-        [np.concatenate([getattr(plan, name) for plan in plans]) for name in TRAJECTORY_COLUMNS]
+        [np.concatenate([getattr(item, name) for item in whole]) for name in TRAJECTORY_COLUMNS]
     )
-    return np.cumsum([0, *map(len, plans)]), rows
+    return np.cumsum([0, *map(len, whole)]), rows
+
+
+def columns_at(
+    trajectories: Sequence[Trajectory], times: FloatArray, names: tuple[str, ...]
+) -> FloatArray:
+    """Return columns `(c, r, k)` of r trajectories at the times `(r, k)`, as `plan_columns`."""
+    rows = np.array([TRAJECTORY_COLUMNS.index(name) for name in names])
+    everyone = np.arange(len(trajectories))
+    return _interpolate(*_joined(trajectories), rows, everyone, np.ascontiguousarray(times))
 
 
 @kernel

@@ -46,6 +46,7 @@ from replan.logs.agents import AgentKind
 from replan.logs.frame import PLAN_HORIZON_S
 from replan.logs.scenario import Scenario
 from replan.logs.shapes import corners
+from replan.logs.states import Trajectory
 from replan.logs.trace import Mode, Trace
 from replan.logs.tracks import Tracks
 from replan.metrics.boxes import (
@@ -83,50 +84,83 @@ from replan.metrics.time_to_collision import CLOSE_S
 HORIZON_S, TTC_HORIZON_S = 4.0, 3.0
 STEPS = round(HORIZON_S / STEP_S)
 PIECE = 500  # Plans that are sampled at a time: 1 MB per column
-_COLUMNS = ("x", "y", "yaw", "v", "a", "kappa")
+PLAN_COLUMNS = ("x", "y", "yaw", "v", "a", "kappa")
 Rows = Mapping[str, NDArray[Any]]
 
 
 @once
 def _measure_plans(trace: Trace, scenario: Scenario) -> Rows:
-    """Return the values for (1) to (6), `(f,)` each; NaN where a frame has none, -1 for no
-    agent.
-    """
-    drive = trace.ego if trace.mode is Mode.CLOSED or len(scenario.ego) < 2 else scenario.ego
-    by_piece, all_times, lanes = [], times_after(trace, 0, STEPS), known_lanes(scenario)
+    """Return `judged` of the plans, and the values for (6), `(f,)` each."""
+    drive = followed_drive(trace, scenario)
+    by_piece, all_times = [], times_after(trace, 0, STEPS)
     for frames in np.split(np.arange(len(all_times)), range(PIECE, len(all_times), PIECE)):
         times = all_times[frames]
-        plan = plan_columns(trace, times, _COLUMNS, frames)
-        witnessed = np.where(times <= drive.t[-1] + 1e-6, plan, np.nan)
-        off = np.full(times.shape, np.nan if isinstance(lanes, Unavailable) else 0.0)  # (2)
-        if not isinstance(lanes, Unavailable):
-            covered = np.isfinite(witnessed[0])
-            x, y, yaw = witnessed[:3, covered]
-            ahead = scenario.vehicle.axle_to_center
-            box = np.stack([x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), yaw])
-            off[covered] = box_off_lanes(lanes, box, scenario.vehicle, np.inf)
-        x, y, yaw = (np.interp(times, drive.t, column) for column in (drive.x, drive.y, drive.yaw))
-        dx, dy = witnessed[0] - x, witnessed[1] - y
-        lengths = plan_way(witnessed[0], witnessed[1]), plan_way(x, y)
-        planned, driven = (np.fmax.reduce(length + 0.0 * dx, axis=1) for length in lengths)
-        best = np.maximum(planned, driven)
-        aside = np.abs(dy * np.cos(yaw) - dx * np.sin(yaw))
-        lasting = (best > SHORT_M) & (times[:, 0] + PLAN_HORIZON_S <= drive.t[-1] + 1e-6)
-        deviation, lateral = (
-            np.where(lasting, np.fmax.reduce(d, axis=1), np.nan) for d in (np.hypot(dx, dy), aside)
-        )
-        progress = np.where(best > SHORT_M, planned / np.maximum(best, SHORT_M), 1.0)
+        plan = plan_columns(trace, times, PLAN_COLUMNS, frames)
         by_piece.append(
-            {
-                "off": off.max(axis=1) - off[:, 0],
-                **_comfort_signals(plan),
-                "progress": progress,
-                "kept": deviation,
-                "kept_lateral": lateral,  # (5), (6)
-                **_contacts_and_ttc(times, witnessed, trace.agents, scenario),
-            }
+            {**judged(times, plan, trace, scenario), **_distances_kept(times, plan, drive)}
         )
     return {name: np.concatenate([piece[name] for piece in by_piece]) for name in by_piece[0]}
+
+
+def followed_drive(trace: Trace, scenario: Scenario) -> Trajectory:
+    """Return the drive that follows the plans: in open loop that of the log, if it has one."""
+    return trace.ego if trace.mode is Mode.CLOSED or len(scenario.ego) < 2 else scenario.ego
+
+
+def judged(times: FloatArray, plan: FloatArray, trace: Trace, scenario: Scenario) -> Rows:
+    """Return the values for (1) to (5) of trajectories, `(r,)` each; NaN where one has none, -1 for
+    no agent.
+
+    Args:
+        times: `(r, k)` s, at multiples of `STEP_S` from each trajectory's frame on.
+        plan: `PLAN_COLUMNS` of the trajectories at these times, `(6, r, k)`; NaN beyond their ends.
+        trace: The drive.
+        scenario: What was driven in.
+    """
+    drive, lanes = followed_drive(trace, scenario), known_lanes(scenario)
+    witnessed = np.where(times <= drive.t[-1] + 1e-6, plan, np.nan)
+    off = np.full(times.shape, np.nan if isinstance(lanes, Unavailable) else 0.0)  # (2)
+    if not isinstance(lanes, Unavailable):
+        covered = np.isfinite(witnessed[0])
+        x, y, yaw = witnessed[:3, covered]
+        ahead = scenario.vehicle.axle_to_center
+        box = np.stack([x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), yaw])
+        off[covered] = box_off_lanes(lanes, box, scenario.vehicle, np.inf)
+    planned, driven = _ways(times, witnessed, drive)
+    best = np.maximum(planned, driven)
+    return {
+        "off": off.max(axis=1) - off[:, 0],
+        **_comfort_signals(plan),
+        "progress": np.where(best > SHORT_M, planned / np.maximum(best, SHORT_M), 1.0),
+        **_contacts_and_ttc(times, witnessed, trace.agents, scenario),
+    }
+
+
+def _ways(times: FloatArray, plan: FloatArray, drive: Trajectory) -> tuple[FloatArray, FloatArray]:
+    """Return the distances planned and driven, `(r,)` each, m, until the last time that both
+    have.
+    """
+    x, y = (np.interp(times, drive.t, column) for column in (drive.x, drive.y))
+    dx = plan[0] - x
+    planned, driven = (
+        np.fmax.reduce(length + 0.0 * dx, axis=1)
+        for length in (plan_way(plan[0], plan[1]), plan_way(x, y))
+    )
+    return planned, driven
+
+
+def _distances_kept(times: FloatArray, plan: FloatArray, drive: Trajectory) -> Rows:
+    """Return the values for (6), `(f,)` each."""
+    witnessed = np.where(times <= drive.t[-1] + 1e-6, plan, np.nan)
+    x, y, yaw = (np.interp(times, drive.t, column) for column in (drive.x, drive.y, drive.yaw))
+    dx, dy = witnessed[0] - x, witnessed[1] - y
+    best = np.maximum(*_ways(times, witnessed, drive))
+    aside = np.abs(dy * np.cos(yaw) - dx * np.sin(yaw))
+    lasting = (best > SHORT_M) & (times[:, 0] + PLAN_HORIZON_S <= drive.t[-1] + 1e-6)
+    deviation, lateral = (
+        np.where(lasting, np.fmax.reduce(d, axis=1), np.nan) for d in (np.hypot(dx, dy), aside)
+    )
+    return {"kept": deviation, "kept_lateral": lateral}
 
 
 def _comfort_signals(plan: FloatArray) -> Rows:
@@ -362,21 +396,28 @@ def plan_score(trace: Trace, scenario: Scenario) -> Measured:
     if isinstance(lacking, Unavailable):
         return lacking
     rows, t = _measure_plans(trace, scenario), times_after(trace, 0, 0)[:, 0]
-    objects = np.array([kind is AgentKind.OBJECT for kind in trace.agents.kinds] + [False])
-    contact = np.where(objects[rows["contact_agent"]], 0.5, 0.0)
-    multiplier = np.where(np.isnan(rows["contact"]), 1.0, contact)
-    multiplier = np.where(rows["off"] > OFF_ROAD_M, 0.0, multiplier)
     steady = np.full(len(t), np.nan)
     extended = extended_comfort(trace, scenario)
     if isinstance(extended, Series):
         steady[np.isin(t, extended.t)] = np.where(extended.known, extended.value <= 1.0, np.nan)
+    return Series(t, scored(rows, trace, steady))
+
+
+def scored(rows: Rows, trace: Trace, steady: FloatArray) -> FloatArray:
+    """Return (7) of trajectories `(r,)` by their values of `judged`; `steady` `(r,)`: 1 and 0 for
+    extended comfort, NaN where there is none.
+    """
+    objects = np.array([kind is AgentKind.OBJECT for kind in trace.agents.kinds] + [False])
+    contact = np.where(objects[rows["contact_agent"]], 0.5, 0.0)
+    multiplier = np.where(np.isnan(rows["contact"]), 1.0, contact)
+    multiplier = np.where(rows["off"] > OFF_ROAD_M, 0.0, multiplier)
     parts = np.array(
         [~(rows["ttc"] <= CLOSE_S), rows["progress"], rows["comfort"] <= 1.0, steady],
         np.float64,
     )
     weights = np.where(np.isfinite(parts), np.array([[5.0], [5.0], [2.0], [2.0]]), 0.0)
     mean = (weights * np.nan_to_num(parts)).sum(axis=0) / weights.sum(axis=0)
-    return Series(t, multiplier * mean)
+    return np.asarray(multiplier * mean)
 
 
 _largest_metric = partial(_plan_metric, better="lower", reductions=(MEAN, P95, MAX), version=2)

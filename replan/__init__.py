@@ -59,7 +59,7 @@ if TYPE_CHECKING:
     from replan.logs.road import Goal, Lane, Road, RoadSource
     from replan.logs.rules import Colour, Crosswalk, StopLine, TrafficLight
     from replan.logs.scenario import Scenario
-    from replan.logs.states import Command, Controls, EgoState, Trajectory
+    from replan.logs.states import Alternative, Command, Controls, EgoState, Trajectory
     from replan.logs.trace import EndReason, Mode, PlannedFrame, Trace
     from replan.logs.tracks import Tracks
     from replan.logs.vehicle import VehicleParameters
@@ -85,6 +85,7 @@ __all__ = [
     "SHARE",
     "AgentKind",
     "Agents",
+    "Alternative",
     "Candidates",
     "Chart",
     "Colour",
@@ -187,7 +188,7 @@ _NAMES = {
     "replan.logs.road": "Goal Lane Road RoadSource",
     "replan.logs.rules": "Colour Crosswalk StopLine TrafficLight",
     "replan.logs.scenario": "Scenario",
-    "replan.logs.states": "Command Controls EgoState Trajectory",
+    "replan.logs.states": "Alternative Command Controls EgoState Trajectory",
     "replan.logs.trace": "EndReason Mode PlannedFrame Trace",
     "replan.logs.tracks": "Tracks",
     "replan.logs.vehicle": "VehicleParameters",

@@ -30,7 +30,7 @@ SECTIONS = {
     (
         "What a plan may hold for the recording"
     ): "GridCost SlGraph StGraph GraphObstacle Corridor Candidates CostTerms "
-    "LaneOption SolverReport",
+    "LaneOption SolverReport Alternative",
     ("What a metric is"): (
         "metric Metric Series Reduction MEAN MIN MAX RMS FINAL COUNT RATE SHARE Unavailable Mode "
         "PlannedFrame EndReason"

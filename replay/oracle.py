@@ -10,6 +10,7 @@ table marks them.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Annotated
 
 import numpy as np
@@ -96,21 +97,24 @@ class Onboard:
         self._oldest = oldest_s
 
     def plan(self, frame: Frame) -> Plan:
-        """The rest of that plan from `frame.t` on, at the plan's own samples."""
+        """The rest of that plan and of its alternatives from `frame.t` on, at their samples."""
         newest = int(np.searchsorted(self._known, frame.t + 1e-9, side="right")) - 1
         if newest < 0:
             return self._none(frame, "no on-board plan was made so far")
         age = frame.t - float(self._known[newest])
         if age > self._oldest:
             return self._none(frame, f"the last on-board plan is {age:.1f} s old")
-        planned = self._plans[newest].trajectory
-        t = np.r_[frame.t, planned.t[planned.t > frame.t + 1e-6]]
-        columns = [
-            np.interp(t, planned.t, getattr(planned, name)) for name in TRAJECTORY_COLUMNS[1:]
-        ]
-        return Plan(Trajectory(t, *columns))
+        rest = self._plans[newest].changed(partial(_rest, now=frame.t))
+        return Plan(rest.trajectory, alternatives=rest.alternatives)
 
     @staticmethod
     def _none(frame: Frame, why: str) -> Plan:
         rest = arc(frame.ego, frame.t + np.arange(0.0, 2.0, 0.1))
         return Plan(rest, status=PlanStatus.REFUSED, reason=f"{why}: speed and curvature are kept")
+
+
+def _rest(planned: Trajectory, now: float) -> Trajectory:
+    """Return what is left of a plan at a time, s, from then on."""
+    t = np.r_[now, planned.t[planned.t > now + 1e-6]]
+    columns = [np.interp(t, planned.t, getattr(planned, name)) for name in TRAJECTORY_COLUMNS[1:]]
+    return Trajectory(t, *columns)

@@ -31,7 +31,7 @@ from replan.logs.repair.detections import Detections, Repair
 from replan.logs.road import Goal, RoadSource
 from replan.logs.rules import TrafficLight
 from replan.logs.scenario import Scenario
-from replan.logs.states import Controls, OnboardPlan, Trajectory
+from replan.logs.states import Controls, Trajectory
 from replan.logs.tracks import Tracks
 
 HISTORY_S = 2.2
@@ -92,8 +92,8 @@ def cut(scenario: Scenario, begin: float, end: float = inf) -> Scenario:
     onboard = []
     for plan in scenario.onboard[newest:]:
         if plan.known <= end:
-            moved_plan = replace(plan.trajectory, t=plan.trajectory.t - begin)
-            onboard.append(OnboardPlan(plan.known - begin, moved_plan))
+            moved_plan = plan.changed(partial(_begun_later, seconds=begin))
+            onboard.append(replace(moved_plan, known=plan.known - begin))
     # From the last change before the history on; lights first observed after the end are left out
     lights = []
     for light in scenario.lights:
@@ -150,6 +150,10 @@ def _samples_within(tracks: Tracks, begin: float, end: float) -> BoolArray:
 
 def _earlier_goal(goal: Goal, seconds: float) -> Goal:
     return replace(goal, t=goal.t and (goal.t[0] - seconds, goal.t[1] - seconds))
+
+
+def _begun_later(trajectory: Trajectory, seconds: float) -> Trajectory:
+    return replace(trajectory, t=trajectory.t - seconds)
 
 
 def _detections(detections: Detections, begin: float, end: float) -> Detections:

@@ -299,7 +299,7 @@ def _with_boxes(scenario: Scenario, change: Callable[[Any], Any]) -> dict[str, A
 def _with_trajectories(
     plans: tuple[OnboardPlan, ...], changed: Callable[[Trajectory], Trajectory]
 ) -> tuple[OnboardPlan, ...]:
-    return tuple(replace(plan, trajectory=changed(plan.trajectory)) for plan in plans)
+    return tuple(plan.changed(changed) for plan in plans)
 
 
 def placed_road(road: Road, points: _Points) -> Road:

@@ -28,10 +28,21 @@ class TrajectoryColumns(msgspec.Struct, rename=serialised):
     kappa: list[float]
 
 
-class OnboardPlan(msgspec.Struct):
-    """A plan that the log's own planner made."""
+class Alternative(msgspec.Struct, omit_defaults=True):
+    """A trajectory among which a planner chose: its score (higher is better; null = none) and
+    name.
+    """
 
     trajectory: TrajectoryColumns
+    score: float | None = None
+    name: str = ""
+
+
+class OnboardPlan(msgspec.Struct, omit_defaults=True):
+    """A plan that the log's own planner made, and those among which it chose."""
+
+    trajectory: TrajectoryColumns
+    alternatives: list[Alternative] = []
 
 
 class Decision(msgspec.Struct):
@@ -123,7 +134,9 @@ class Graph(msgspec.Struct):
 
 
 class Plan(msgspec.Struct):
-    """A plan: how it came about, its trajectory, and what the planner wanted to be seen."""
+    """A plan: how it came about, its trajectory, what the planner wanted to be seen, and the
+    trajectories among which it chose.
+    """
 
     status: str
     reason: str
@@ -135,6 +148,7 @@ class Plan(msgspec.Struct):
     graphs: list[Graph] = []
     candidates: list[Candidates] = []
     lanes: list[LaneOption] = []
+    alternatives: list[Alternative] = []
 
 
 class PlanHead(msgspec.Struct):

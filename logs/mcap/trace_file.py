@@ -164,7 +164,9 @@ def plan_message(plan: nouns.Plan, internals: Internals) -> plan_messages.Plan:
     columns = plan_messages.TrajectoryColumns(
         *(getattr(planned, name)[shown].tolist() for name in TRAJECTORY_COLUMNS)
     )
-    inside = {} if internals == "none" else inside_of(plan.internals, full=internals == "full")
+    if internals == "none":
+        return message_of(plan_messages.Plan, plan, trajectory=columns, alternatives=[])
+    inside = inside_of(plan.internals, full=internals == "full")
     return message_of(plan_messages.Plan, plan, trajectory=columns, **inside)
 
 

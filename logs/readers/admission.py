@@ -194,6 +194,8 @@ def check_actions(scenario: Scenario) -> Scenario:
         _check_columns(scenario, "controls", scenario.controls)
     for plan in scenario.onboard:
         _check_columns(scenario, "onboard", plan.trajectory)
+        for alternative in plan.alternatives:
+            _check_columns(scenario, "onboard", alternative.trajectory)
     return scenario
 
 

@@ -18,6 +18,7 @@ from replan.core.names import counted
 from replan.explain.broken_gates import ahead, broken_gates
 from replan.explain.causes import FELT_MPS2, KEEP, Account, CauseKind, accounts, not_passed
 from replan.explain.contradictions import LEAST_FRAMES, describe_contradictions
+from replan.explain.plan_alternatives import describe_alternatives
 from replan.explain.sentences import brief, sentences
 from replan.logs.plan import (
     Candidates,
@@ -104,6 +105,7 @@ class Explanation:
         costs: Costs of the plan, by stage and term.
         lanes: The lanes that the planner compared: cost by term, and the reason against each.
         candidates: How many candidates there were, and why the others were not taken.
+        alternatives: The trajectories among which the planner chose, each a name and a statement.
         active: The bounds that the solution touches.
     """
 
@@ -119,6 +121,7 @@ class Explanation:
     candidates: tuple[Candidates, ...]
     active: tuple[Touch, ...]
     solvers: tuple[SolverReport, ...]
+    alternatives: tuple[tuple[str, str], ...] = ()
 
     @classmethod
     def of(cls, frame: PlannedFrame, account: Account, *, bounds: bool = True) -> Explanation:
@@ -147,6 +150,13 @@ class Explanation:
             tuple(touched(plan)) if bounds else (),
             tuple(_artefacts(plan, SolverReport)),
         )
+
+    def with_alternatives(
+        self, trace: Trace, scenario: Scenario, frame: PlannedFrame
+    ) -> Explanation:
+        """The explanation with the alternatives of the frame's plan, judged in this drive."""
+        described = tuple(describe_alternatives(trace, scenario, frame))
+        return replace(self, alternatives=described)
 
     def sections(self) -> Iterator[Section]:
         """All decisions, alternatives, costs and solver reports, as lines of plain text.
@@ -191,6 +201,7 @@ class Explanation:
             ("decisions", decided),
             ("lanes", taken),
             ("candidates", candidates),
+            ("alternatives", list(self.alternatives)),
             ("active bounds", active),
             ("costs", costs),
             ("solvers", solvers),
@@ -211,7 +222,11 @@ def explained(drive: StoredDrive, at: float | None = None) -> list[Explanation]:
         return list(changes(drive.trace, drive.scenario, loop))
     wanted = drive.frame(at).t
     pairs = zip(drive.trace.frames, accounts(drive.trace, drive.scenario, loop), strict=True)
-    return [Explanation.of(frame, account) for frame, account in pairs if frame.t == wanted]
+    return [
+        Explanation.of(frame, account).with_alternatives(drive.trace, drive.scenario, frame)
+        for frame, account in pairs
+        if frame.t == wanted
+    ]
 
 
 def changes(

@@ -133,4 +133,4 @@ def _moved(noun: Placed, offset: Offset) -> Placed:
 
 
 def _moved_plan(plan: Plan, offset: Offset) -> Plan:
-    return replace(plan, trajectory=_moved(plan.trajectory, offset))
+    return plan.changed(partial(_moved, offset=offset))

@@ -27,22 +27,14 @@ import msgspec
 from replan.core.arrays import Points
 from replan.logs import agents, frame, past, plan as nouns, states
 from replan.logs.agents import AgentKind
-from replan.logs.codec import (
-    Column,
-    array_as_bytes,
-    array_of,
-    message_of,
-    noun_of,
-    packed,
-    unpacked,
-)
+from replan.logs.codec import Column, array_as_bytes, array_of, message_of, noun_of, unpacked
 from replan.logs.lane_route import RouteSource
 from replan.logs.mcap import plan_messages
 from replan.logs.mcap.trace_file import artefacts_of, inside_of
 from replan.logs.past import PastSource
 from replan.logs.road import Goal, Lane
 from replan.logs.rules import Colour, Crosswalk, StopLine
-from replan.logs.states import TRAJECTORY_COLUMNS, EgoState
+from replan.logs.states import EgoState
 from replan.logs.vehicle import VehicleParameters
 from replan.replay.planner_process.coordinates import Coordinates
 
@@ -198,6 +190,14 @@ class Inside(msgspec.Struct, omit_defaults=True):
     lanes: list[plan_messages.LaneOption] = []
 
 
+class Alternative(msgspec.Struct, omit_defaults=True):
+    """`replan.logs.states.Alternative`: a score that is null or left out is none."""
+
+    trajectory: Trajectory
+    score: float | None = None
+    name: str = ""
+
+
 class Plan(msgspec.Struct, tag="plan", omit_defaults=True):
     """`replan.logs.plan.Plan`: only the trajectory is required.
 
@@ -209,6 +209,7 @@ class Plan(msgspec.Struct, tag="plan", omit_defaults=True):
         start: ego or previous_plan.
         laps: Durations of stages by name, s.
         inside: The internals, for recordings.
+        alternatives: The trajectories among which the planner chose.
     """
 
     trajectory: Trajectory
@@ -217,6 +218,7 @@ class Plan(msgspec.Struct, tag="plan", omit_defaults=True):
     start: str = "ego"
     laps: dict[str, float] = {}
     inside: Inside | None = None
+    alternatives: list[Alternative] = []
 
 
 class Snapshot(msgspec.Struct):
@@ -395,11 +397,18 @@ def frame_of(message: Frame) -> frame.Frame:
 def plan_message(
     plan: nouns.Plan, laps: dict[str, float] | None = None, *, inside: bool = False
 ) -> Plan:
-    """The message of a plan, with or without its internals."""
+    """The message of a plan, with or without its internals and alternatives."""
     shown = Inside(**inside_of(plan.internals)) if inside and len(plan.internals) else None
-    columns = (packed(getattr(plan.trajectory, name)) for name in TRAJECTORY_COLUMNS)
-    status, start = plan.status.name.lower(), plan.start.name.lower()
-    return Plan(Trajectory(*columns), status, shortened(plan.reason), start, laps or {}, shown)
+    alternatives = plan.alternatives if inside else ()
+    return Plan(
+        message_of(Trajectory, plan.trajectory),
+        plan.status.name.lower(),
+        shortened(plan.reason),
+        plan.start.name.lower(),
+        laps or {},
+        shown,
+        [message_of(Alternative, alternative) for alternative in alternatives],
+    )
 
 
 def plan_of(message: Plan) -> nouns.Plan:
@@ -408,14 +417,12 @@ def plan_of(message: Plan) -> nouns.Plan:
     ValueError if `Trajectory` refuses it, its status or start is unknown, it has too many stages,
     or its inside does not fit or is too large.
     """
-    size = (
-        len(msgspec.msgpack.encode((message.laps, message.inside)))
-        if message.laps or message.inside
-        else 0
-    )
+    more = (message.laps, message.inside, message.alternatives)
+    size = len(msgspec.msgpack.encode(more)) if any(more) else 0
     if size > LARGEST_INSIDE_BYTES:
         raise ValueError(
-            f"its inside has {size} bytes, more than {LARGEST_INSIDE_BYTES}: keep less of it"
+            f"its inside and its alternatives have {size} bytes, more than "
+            f"{LARGEST_INSIDE_BYTES}: keep less of them"
         )
     if len(message.laps) > MOST_STAGES:
         raise ValueError(f"it names {len(message.laps)} stages, more than {MOST_STAGES}")
@@ -425,7 +432,11 @@ def plan_of(message: Plan) -> nouns.Plan:
                 f"{name} '{getattr(message, name)}' is none of "
                 f"{', '.join(known.__members__).lower()}"
             )
-    columns = (unpacked(getattr(message.trajectory, name)) for name in TRAJECTORY_COLUMNS)
-    status, start = nouns.PlanStatus[message.status.upper()], nouns.PlanStart[message.start.upper()]
-    internals = tuple(artefacts_of(message.inside)) if message.inside else ()
-    return nouns.Plan(states.Trajectory(*columns), status, message.reason, start, internals)
+    return nouns.Plan(
+        noun_of(states.Trajectory, message.trajectory),
+        nouns.PlanStatus[message.status.upper()],
+        message.reason,
+        nouns.PlanStart[message.start.upper()],
+        tuple(artefacts_of(message.inside)) if message.inside else (),
+        tuple(noun_of(states.Alternative, alternative) for alternative in message.alternatives),
+    )

@@ -108,6 +108,10 @@ class Bag:
         self._types[topic.name] = types
         return types
 
+    def defines(self, topic: Topic) -> bool:
+        """Return whether the file itself defines the topic's type."""
+        return any(connection.msgdef.data for connection in topic.connections)
+
     def has(self, topic: Topic, path: str) -> bool:
         """Return whether the topic's messages have a field, given by its dotted name."""
         return has_field(self.types_of(topic), topic.kind, path)

@@ -24,7 +24,17 @@ from replan.logs.states import Controls, Trajectory
 from replan.logs.vehicle import VEHICLE_ASSUMED, VehicleParameters
 
 ROLES = {
-    "topics": ("ego", "speed", "acceleration", "agents", "lights", "goal", "steering", "plan"),
+    "topics": (
+        "ego",
+        "speed",
+        "acceleration",
+        "agents",
+        "lights",
+        "goal",
+        "steering",
+        "plan",
+        "alternatives",
+    ),
     "frames": ("map", "base"),
 }
 """Valid keys of the settings `topics` and `frames`."""

@@ -165,6 +165,27 @@ CLOCK = "rosgraph_msgs/msg/Clock"
 
 
 @dataclass(frozen=True)
+class AlternativesSchema:
+    """Names of the fields of candidate trajectories in a message type: the list, the prefix of the
+    candidate's fields in an item, its score ("": the type has none).
+    """
+
+    items: str
+    candidate: str = ""
+    score: str = ""
+
+
+ALTERNATIVES = {
+    "autoware_internal_planning_msgs/msg/ScoredCandidateTrajectories": AlternativesSchema(
+        "scored_candidate_trajectories", "candidate_trajectory.", "score"
+    ),
+    "autoware_internal_planning_msgs/msg/CandidateTrajectories": AlternativesSchema(
+        "candidate_trajectories"
+    ),
+}
+
+
+@dataclass(frozen=True)
 class LightSchema:
     """Names of the fields of lights in a message type: the list, the ids in order of preference,
     the list of lamps.

@@ -20,7 +20,7 @@ from replan.draw.charts.simplify import cut_line, cut_outline
 from replan.draw.charts.style import DRIVES
 from replan.draw.charts.subject import ASKED, SceneSubject, Subject
 from replan.draw.charts.svg import LETTER_PX, area, areas, dot, polyline, polylines, shortened, text
-from replan.draw.drawn_scene import decided, plan_seconds
+from replan.draw.drawn_scene import decided, path_of, plan_seconds
 from replan.logs.agents import AgentKind, Agents
 from replan.logs.scenario import Scenario
 from replan.logs.shapes import corners
@@ -93,7 +93,10 @@ def scene(subject: SceneSubject, t: float, word: str, about: Collection[str] = (
     entries += [("area", "moving", "moves"), ("area", "standing", "stands")]
     if not several:
         entries += [("line", "driven", "driven")]
-        entries += [("line", "planned", "plan, dots: 1 s")] if planned and subject.frame else []
+        if planned and subject.frame is not None:
+            entries += [("line", "planned", "plan, dots: 1 s")]
+            fan = bool(subject.frame.plan.alternatives)
+            entries += [("line", "alternative", "alternatives")] if fan else []
     says = f"Scene, {title}; no other road users"
     if len(agents):
         distances_m = np.hypot(agents.x - ego.x, agents.y - ego.y)
@@ -213,6 +216,8 @@ def _path(view: BirdView, subject: SceneSubject, kind: str, *, planned: bool) ->
     drawn = polylines(view.lines([np.column_stack([driven.x, driven.y])]), "driven")
     if planned and subject.frame is not None:
         plan = subject.frame.plan.trajectory
+        fan = [path_of(alternative.trajectory) for alternative in subject.frame.plan.alternatives]
+        drawn += polylines(view.lines(fan), "alternative")
         drawn += polylines(view.lines([np.column_stack([plan.x, plan.y])]), kind)
         drawn += "".join(
             dot(x, y, 2.4, "plan_second")

@@ -112,6 +112,7 @@ alarm: bars of the decisions, and other bars. */
 .chart path.goal{fill:$free;fill-opacity:.12;stroke:$free;stroke-dasharray:4 3}
 .chart .driven{stroke:$ego;stroke-width:1.4;stroke-dasharray:1 3;stroke-linecap:round}
 .chart .planned{stroke:$plan;stroke-width:2.4}
+.chart .alternative{stroke:$unsure;stroke-width:1;stroke-opacity:.8}
 .chart .plan_second{fill:$plan;stroke:$ground}
 .chart .predicted{stroke:$other;stroke-width:1;stroke-dasharray:2 3}
 .chart .ego{fill:$ego;stroke:$ink;stroke-width:.8}

@@ -7,6 +7,8 @@ has a typical one.
 
 world/predictions     the predicted path of each hypothesis, the likelier the brighter, to the
                       horizon
+world/plan/alternatives  the trajectories among which the planner chose, the higher the score the
+                      brighter
 world/perceived       boxes as they were shown to the planner, if they differ from the true ones
 world/sensor          the rim of the sensor's range and field of view, and the hidden ground within
                       it, hatched
@@ -24,7 +26,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from replan.core.arrays import FloatArray, IntArray
-from replan.draw.drawn_scene import decided, plan_seconds, rows_in_full
+from replan.draw.drawn_scene import decided, path_of, plan_seconds, rows_in_full, score_ranks
 from replan.draw.recording import colours
 from replan.draw.recording.plots import places
 from replan.draw.recording.road_layer import (
@@ -38,7 +40,7 @@ from replan.draw.recording.tape import REMOVED, Instants, Tape, joined, pixels, 
 from replan.explain.planner_input import agents_shown
 from replan.logs.agents import AgentKind, Agents, codes_of
 from replan.logs.frame import Visibility
-from replan.logs.plan import Decision
+from replan.logs.plan import Decision, Plan
 from replan.logs.scenario import Scenario
 from replan.logs.states import Trajectory
 from replan.logs.trace import PlannedFrame, Trace
@@ -174,10 +176,33 @@ def draw_moving(
     tape.lines(
         "world/plan/path", frames, drawn, np.full(len(pieces), 2), counts, colour, radii=[0.18]
     )
+    _draw_alternatives(tape, plans, frames)
     points, counts = joined(dots, 2)
     tape.static("world/plan/seconds", rr.Points3D.from_fields(colors=[0xFFFFFFFF], radii=[0.22]))
     tape.rows(
         "world/plan/seconds", frames, rr.Points3D.columns(positions=at_height(points, 0.2)), counts
+    )
+
+
+def _draw_alternatives(tape: Tape, plans: Sequence[Plan], frames: Instants) -> None:
+    """Draw the alternatives of each plan as a fan, if a plan has any."""
+    if not any(plan.alternatives for plan in plans):
+        return
+    paths: list[FloatArray] = []
+    shades: list[int] = []
+    for plan in plans:
+        paths += [path_of(alternative.trajectory) for alternative in plan.alternatives]
+        opacities = [round(50 + 150 * rank) for rank in score_ranks(plan)]
+        shades += [colours.with_alpha(colours.ALTERNATIVE, opacity) for opacity in opacities]
+    points, lengths = joined(paths, 2)
+    tape.lines(
+        "world/plan/alternatives",
+        frames,
+        at_height(points, LOW),
+        lengths,
+        [len(plan.alternatives) for plan in plans],
+        np.array(shades, dtype=np.uint32),
+        radii=[pixels(1.5)],
     )
 
 

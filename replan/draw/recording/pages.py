@@ -44,6 +44,7 @@ def draw_why(tape: Tape, trace: Trace, scenario: Scenario, instants: Instants) -
         trace.frames, accounts(trace, scenario), changes, strict=True
     ):
         explained = Explanation.of(frame, account, bounds=False)
+        explained = explained.with_alternatives(trace, scenario, frame)
         pages["why"].append(
             document(map(tape.short, why(frame, explained, unseen(trace, frame.t), change)))
         )

@@ -33,7 +33,7 @@ from replan.logs.plan import (
     SolverReport,
     StGraph,
 )
-from replan.logs.states import Controls
+from replan.logs.states import Alternative, Controls
 from replan.logs.summary import summarise
 from replan.logs.trace import EndReason, Mode, PlannedFrame, Trace, TrackingErrors
 from replan.logs.tracks import Tracks
@@ -59,9 +59,10 @@ def drive() -> Trace:
         SlGraph(grid, corridor, line, line, (obstacle,)),
         StGraph(None, None, line, line, ()),
     )
+    fan = (Alternative(ego.between(0.0, 0.2), 0.75, "left"), Alternative(ego))
     plans = (
         Plan(ego.between(0.0, 0.1)),
-        Plan(ego, PlanStatus.HARD_STOP, "no way", PlanStart.PREVIOUS_PLAN, internals),
+        Plan(ego, PlanStatus.HARD_STOP, "no way", PlanStart.PREVIOUS_PLAN, internals, fan),
     )
     half = np.full(len(t), 0.5)
     return Trace(
@@ -158,6 +159,9 @@ def test_plans_are_kept_with_all_their_internals(tmp_path: Path) -> None:
     ]
     assert path_graph["corridor"]["lower"] == [None, -1.0]
     assert path_graph["obstacles"][0]["decision"] == "nudge left"
+    left, other = plan["alternatives"]
+    assert (left["score"], left["name"], other["score"]) == (0.75, "left", None)
+    assert left["trajectory"]["x_m"] == drive().ego.between(0.0, 0.2).x.tolist()
 
 
 @pytest.mark.parametrize(

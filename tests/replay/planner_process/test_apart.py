@@ -132,7 +132,7 @@ SAID = {
         "(bad_planners.py:"
     ),
     "Daemon": "did not answer within 0.4 s at t = 0.50 s",
-    "Shows": "broke its contract at 0.50 s: its inside has 20000",
+    "Shows": "broke its contract at 0.50 s: its inside and its alternatives have 20000",
     "Stages": "broke its contract at 0.50 s: it names 1001 stages, more than 100",
     "RaisesMuch": "raised at 0.50 s: ValueError: xxx",
 }

@@ -1,9 +1,15 @@
 """What nuPlan's maps call roadblocks and lane connectors, for every road, and the lanes of lights.
 
-A group is a set of lanes beside each other in one direction: as the map has it, or, where a
-drivable lane has none, the drivable lanes that are neighbours, named by the least of their ids. A
-connector is a lane in a junction: the log calls it so (`IN_JUNCTION`), or, in a log that calls none
-so, it crosses another lane.
+A connector is a lane in a junction: the log calls it so (`IN_JUNCTION`), or, in a log that calls
+none so, it crosses another lane. So is, of a road, a lane beside a connector.
+
+A group is a set of lanes beside each other in one direction, named by the least of their ids: as
+the map has it, or, where a drivable lane has none,
+
+(1) of lanes outside of junctions, those that are neighbours
+(2) of connectors, those that lead from the same groups to the same groups. Groups within a junction
+        are here those of neighbours, as are those of connectors that begin or end where the road
+        does.
 
 A light stands at a stop line, and controls the lanes that begin behind it: those that the line
 names, else the successors of the lane that it lies across, else that lane itself.
@@ -11,7 +17,7 @@ names, else the successors of the lane that it lies across, else that lane itsel
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -28,18 +34,44 @@ def lane_groups(road: Road) -> dict[int, int]:
     stated = {lane.id: lane.group for lane in drivable.values() if lane.group is not None}
     if len(stated) == len(drivable):
         return stated
-    group = {name: name for name in drivable}
+    beside = _of_neighbours(drivable)
+    return beside | _of_same_ends(drivable, connectors_of(road), beside)
+
+
+def _of_neighbours(lanes: Mapping[int, Lane]) -> dict[int, int]:
+    """Return the groups (1) of some lanes."""
+    group = {name: name for name in lanes}
     changed = True
     while changed:
         changed = False
-        for lane in drivable.values():
+        for lane in lanes.values():
             beside = (lane.left_neighbour, lane.right_neighbour)
-            members = [lane.id, *(i for i in beside if i is not None and i in drivable)]
+            members = [lane.id, *(i for i in beside if i is not None and i in lanes)]
             least = min(group[i] for i in members)
             for i in members:
                 changed |= group[i] != least
                 group[i] = least
     return group
+
+
+def _of_same_ends(
+    drivable: Mapping[int, Lane], inside: frozenset[int], beside: Mapping[int, int]
+) -> dict[int, int]:
+    """Return the groups (2) of the connectors that have lanes before and behind them."""
+    before: dict[int, set[int]] = {name: set() for name in inside}
+    behind: dict[int, set[int]] = {name: set() for name in inside}
+    for lane in drivable.values():
+        for after in drivable.keys() & lane.successors:
+            if after in inside:
+                before[after].add(beside[lane.id])
+            if lane.id in inside:
+                behind[lane.id].add(beside[after])
+    members: dict[tuple[frozenset[int], frozenset[int]], list[int]] = {}
+    for name in inside:
+        if before[name] and behind[name]:
+            ends = frozenset(before[name]), frozenset(behind[name])
+            members.setdefault(ends, []).append(name)
+    return {name: min(names) for names in members.values() for name in names}
 
 
 def connectors(lanes: Sequence[Lane]) -> tuple[bool, ...]:
@@ -58,10 +90,12 @@ def connectors(lanes: Sequence[Lane]) -> tuple[bool, ...]:
 
 @once
 def connectors_of(road: Road) -> frozenset[int]:
-    """Return the drivable lanes of a road that are in a junction."""
+    """Return the drivable lanes of a road that are in a junction, and those beside them."""
     lanes = [lane for lane in road.lanes.values() if lane.drivable]
+    beside = _of_neighbours({lane.id: lane for lane in lanes})
     pairs = zip(lanes, connectors(lanes), strict=True)
-    return frozenset(lane.id for lane, is_connector in pairs if is_connector)
+    groups = {beside[lane.id] for lane, is_connector in pairs if is_connector}
+    return frozenset(name for name, group in beside.items() if group in groups)
 
 
 def complete_road(road: Road) -> Road:

@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import pairwise
 
+import numpy as np
 import pytest
 
 from replan.logs.catalogue import CATALOGUE
-from replan.logs.lane_groups import connectors, lane_groups, lanes_of_lights
+from replan.logs.lane_groups import connectors, connectors_of, lane_groups, lanes_of_lights
 from replan.logs.lane_route import BEYOND_M, RouteSource, lane_route
-from replan.logs.road import Goal, Road
+from replan.logs.road import IN_JUNCTION, Goal, Lane, Road
 from replan.logs.scenario import Scenario
 from replan.metrics.arrival import goal_of
 
@@ -79,6 +80,62 @@ def test_neighbours_are_one_group_and_stated_groups_count() -> None:
                 assert groups[beside] == groups[lane.id]
     stated = {i: replace(lane, group=7) for i, lane in road.lanes.items()}
     assert set(lane_groups(replace(road, lanes=stated)).values()) == {7}
+
+
+def straight_lane(name: int, begin: float, y: float, end_y: float, **more: object) -> Lane:
+    """A lane 20 m long that goes from one lateral offset, m, to another one."""
+    left = np.array([[begin, y + 1.5], [begin + 20.0, end_y + 1.5]])
+    return replace(Lane(name, left, left - [0.0, 3.0]), **more)
+
+
+def fork() -> Road:
+    """Lanes 1 and 2 side by side; 1 leads through 3 to 5 and 2 through 4 to 6 beside it; 2 also
+    turns through 7 to 8. The connectors have no neighbours.
+    """
+    junction = {"kind": f"urban+{IN_JUNCTION}"}
+    lanes = (
+        straight_lane(1, 0.0, 3.0, 3.0, successors=(3,), right_neighbour=2),
+        straight_lane(2, 0.0, 0.0, 0.0, successors=(4, 7), left_neighbour=1),
+        straight_lane(3, 20.0, 3.0, 3.0, successors=(5,), **junction),
+        straight_lane(4, 20.0, 0.0, 0.0, successors=(6,), **junction),
+        straight_lane(5, 40.0, 3.0, 3.0, right_neighbour=6),
+        straight_lane(6, 40.0, 0.0, 0.0, left_neighbour=5),
+        straight_lane(7, 20.0, 0.0, -15.0, successors=(8,), **junction),
+        straight_lane(8, 40.0, -15.0, -30.0),
+    )
+    return Road({lane.id: lane for lane in lanes})
+
+
+def test_connectors_between_the_same_groups_are_one_group() -> None:
+    assert lane_groups(fork()) == {1: 1, 2: 1, 3: 3, 4: 3, 5: 5, 6: 5, 7: 7, 8: 8}
+
+
+def test_connectors_at_the_end_of_the_road_are_grouped_as_neighbours() -> None:
+    road = fork()
+    ends = {i: replace(road.lanes[i], successors=()) for i in (3, 4)}
+    without_ends = replace(road, lanes=dict(road.lanes) | ends)
+    assert lane_groups(without_ends)[3] != lane_groups(without_ends)[4]
+    beside = {3: replace(ends[3], right_neighbour=4), 4: replace(ends[4], left_neighbour=3)}
+    assert lane_groups(replace(road, lanes=dict(road.lanes) | beside))[4] == 3
+
+
+def test_a_lane_beside_a_connector_is_one() -> None:
+    road = fork()
+    changed = {
+        3: replace(road.lanes[3], right_neighbour=4, kind="urban"),
+        4: replace(road.lanes[4], left_neighbour=3),
+    }
+    assert connectors_of(replace(road, lanes=dict(road.lanes) | changed)) == {3, 4, 7}
+
+
+@pytest.mark.parametrize("name", [name for name in CATALOGUE if name.startswith("everyday/")])
+def test_a_group_lies_in_a_junction_or_outside(name: str) -> None:
+    road = CATALOGUE[name].scenario().road
+    groups, inside = lane_groups(road), connectors_of(road)
+    kinds: dict[int, set[bool]] = {}
+    for lane, group in groups.items():
+        kinds.setdefault(group, set()).add(lane in inside)
+    assert all(len(kind) == 1 for kind in kinds.values())
 
 
 def test_a_light_controls_the_lanes_behind_its_line() -> None:

@@ -19,11 +19,18 @@ START = Path(__file__).with_name("start.py")
 
 
 def nuplan_command(spec: str, table: Mapping[str, object]) -> list[str]:
-    """The command of a planner's process; `table`: its table in the configuration, with `python`.
+    """The command of a planner's process; `table`: its table in the configuration, with `python`
+    and `path`, folders from which the planner and the devkit are imported.
 
-    ConfigError if the specification is no "nuplan:MODULE:CLASS".
+    ConfigError if the specification is no "nuplan:MODULE:CLASS", or a folder is not there.
     """
     target = spec.removeprefix(PREFIX)
     if target.count(":") != 1 or not all(target.split(":")):
         raise ConfigError(f"planner '{spec}': write nuplan:MODULE:CLASS")
-    return [str(table.get("python", sys.executable)), str(START), target]
+    folders = table.get("path", ())
+    if not isinstance(folders, list | tuple):
+        raise ConfigError(f"planner '{spec}': path is a list of folders, not {folders!r}")
+    for folder in folders:
+        if not isinstance(folder, str) or not Path(folder).is_dir():
+            raise ConfigError(f"planner '{spec}': there is no folder {folder} (in its path)")
+    return [str(table.get("python", sys.executable)), str(START), target, *folders]

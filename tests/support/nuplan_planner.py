@@ -16,13 +16,16 @@ ENTRIES, STEP_US = 22, 100_000
 
 
 class GoesStraight(AbstractPlanner):
-    """Drives straight on at its speed; `aside`: its first pose is that far
-    to the left of the ego, m; `fails`: the call in which it raises.
+    """Drives straight on at its speed; `aside`: its first pose is that far to the left of the ego,
+    m; `fails`: the call in which it raises; `tires`: the share of its speed that it loses with each
+    plan, which it remembers.
     """
 
-    def __init__(self, aside: float = 0.0, fails: str = "") -> None:
-        self._aside, self._fails = aside, fails
-        self._times: list[int] = []
+    def __init__(self, aside: float = 0.0, fails: str = "", tires: float = 0.0) -> None:
+        if fails == "constructor":
+            raise ValueError("no such size of a network")
+        self._aside, self._fails, self._tires = aside, fails, tires
+        self._share = 1.0
 
     def name(self) -> str:
         return "goes straight"
@@ -49,6 +52,7 @@ class GoesStraight(AbstractPlanner):
         ego, observation = history.current_state
         times = [state.time_us for state in history.ego_states]
         assert len(times) == ENTRIES and times == sorted(times)
+        self._share *= 1.0 - self._tires
         assert type(observation) is DetectionsTracks
         point = ego.rear_axle.point
         layers = [SemanticMapLayer.LANE, SemanticMapLayer.LANE_CONNECTOR]
@@ -60,7 +64,8 @@ class GoesStraight(AbstractPlanner):
         return InterpolatedTrajectory([self._state(ego, k) for k in range(81)])
 
     def _state(self, ego: EgoState, k: int) -> EgoState:
-        way, left = ego.dynamic_car_state.speed * 0.1 * k, self._aside if k == 0 else 0.0
+        speed, left = self._share * ego.dynamic_car_state.speed, self._aside if k == 0 else 0.0
+        way = speed * 0.1 * k
         heading = ego.rear_axle.heading
         x = ego.rear_axle.x + way * cos(heading) - left * sin(heading)
         y = ego.rear_axle.y + way * sin(heading) + left * cos(heading)
@@ -72,3 +77,13 @@ class GoesStraight(AbstractPlanner):
             TimePoint(ego.time_us + STEP_US * k),
             ego.car_footprint.vehicle_parameters,
         )
+
+
+class NeedsScenario(GoesStraight):
+    """Asks for nuPlan's scenario, as planners do that choose by its type."""
+
+    requires_scenario = True
+
+    def __init__(self, scenario: Any) -> None:
+        super().__init__()
+        assert scenario.scenario_type == "unknown"

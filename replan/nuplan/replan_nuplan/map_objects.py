@@ -49,7 +49,14 @@ def _largest(shape: Any, outline: NDArray[np.float64]) -> Polygon:
     return max(parts, key=lambda part: part.area)
 
 
-class NuplanPolyline(PolylineMapObject):
+class OfMap:
+    """A part of the map, which does not change: copies of a planner share it."""
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Any:
+        return self
+
+
+class NuplanPolyline(OfMap, PolylineMapObject):
     """A line `(n, 2)` in driving direction."""
 
     def __init__(self, path_id: str, line: NDArray[np.float64]) -> None:
@@ -98,7 +105,7 @@ class NuplanPolyline(PolylineMapObject):
         return float((turn + np.pi) % (2.0 * np.pi) - np.pi) / (2.0 * SPACING_M)
 
 
-class MapArea(PolygonMapObject):
+class MapArea(OfMap, PolygonMapObject):
     """A crosswalk, car park or intersection."""
 
     def __init__(self, object_id: str, outline: NDArray[np.float64]) -> None:
@@ -110,7 +117,7 @@ class MapArea(PolygonMapObject):
         return self._polygon
 
 
-class _LaneLike:
+class _LaneLike(OfMap):
     """What lanes and connectors share; the map links them."""
 
     id: str
@@ -222,7 +229,7 @@ class RoadConnector(_LaneLike, LaneConnector):
         return LaneConnectorType.UNKNOWN
 
 
-class NuPlanRoadBlock(RoadBlockGraphEdgeMapObject):
+class NuPlanRoadBlock(OfMap, RoadBlockGraphEdgeMapObject):
     """Lanes beside each other, from left to right."""
 
     def __init__(self, block_id: str, lanes: list[Any]) -> None:

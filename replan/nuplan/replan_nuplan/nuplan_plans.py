@@ -16,14 +16,16 @@ planners do not smooth, are not driven. Here
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
 from .nuplan_channel import Message
-from .nuplan_states import Converter
+
+if TYPE_CHECKING:
+    from .nuplan_states import Converter
 
 WINDOW, DEGREE = 11, 3
 BLEND_S, AHEAD_S = 1.5, 1.0

@@ -3,14 +3,20 @@
 A drive has one planner: it is built and initialised at `hello` (networks load their checkpoint
 there), and gets a history of 22 entries at each frame, as in nuPlan: 21 of the past and the
 present. What it prints goes to stderr.
+
+With `fresh` in its table, a frame without a previous plan (each one in open loop, the first one in
+closed loop) is planned by a copy of the planner as it was initialised; so it remembers nothing of
+other frames, and loads its checkpoint once.
 """
 
 from __future__ import annotations
 
+import copy
 import gc
 import importlib
 import traceback
 from collections import deque
+from dataclasses import dataclass
 from typing import Any
 
 from nuplan.common.actor_state.state_representation import StateSE2
@@ -21,6 +27,7 @@ from nuplan.planning.simulation.simulation_time_controller.simulation_iteration 
 )
 
 from .nuplan_channel import Message, MessageChannel, points
+from .nuplan_faults import called, describe
 from .nuplan_plans import plan_message
 from .nuplan_states import Converter
 from .road_map import RoadMap
@@ -28,6 +35,15 @@ from .road_map import RoadMap
 STEPS, STEP_S = 22, 0.1
 PAST_S = 2.1
 SAME_S = 1e-6
+OWN_KEYS = ("python", "path", "hydra", "fresh")
+"""Keys of a planner's table that are not keywords of its class."""
+
+
+@dataclass(frozen=True)
+class DrivenScenario:
+    """What a planner with `requires_scenario` gets: logs of replan have no type of nuPlan's."""
+
+    scenario_type: str = "unknown"
 
 
 class NuplanDrive:
@@ -38,12 +54,14 @@ class NuplanDrive:
         self._map = RoadMap(context)
         self._converter = Converter(context, self._map.number)
         self._known: deque[tuple[float, Any, Any]] = deque()
-        self._count = 0
-        self._planner = built(target, hello["config"])
+        self._start, self._period = context["start"]["t"], context["period"]
+        self._is_fresh = hello["config"].get("fresh", False)
+        planner = called("its constructor", built, target, hello["config"])
         route = (self._map.lanes.get(lane) for lane in context["route"]["lanes"])
         blocks = dict.fromkeys(lane.get_roadblock_id() for lane in route if lane is not None)
         initialization = PlannerInitialization(list(blocks), _goal_of(context), self._map)
-        self._planner.initialize(initialization)
+        called("initialize", planner.initialize, initialization)
+        self._planner = self._initialised = planner
 
     def plan(self, frame: Message) -> Message:
         """The plan of a frame."""
@@ -57,10 +75,15 @@ class NuplanDrive:
             sample_interval=STEP_S,
         )
         converter = self._converter
-        iteration = SimulationIteration(converter.time(frame["t"]), self._count)
-        self._count += 1
+        index = round((frame["t"] - self._start) / self._period)
+        iteration = SimulationIteration(converter.time(frame["t"]), max(index, 0))
         lights = converter.lights(frame["t"], frame["lights"])
-        trajectory = self._planner.compute_trajectory(PlannerInput(iteration, history, lights))
+        if self._is_fresh and frame["previous"] is None:
+            self._planner = called("its copy (fresh)", copy.deepcopy, self._initialised)
+        planner_input = PlannerInput(iteration, history, lights)
+        trajectory = called(
+            "compute_planner_trajectory", self._planner.compute_trajectory, planner_input
+        )
         gc.enable()  # PDM turns it off in each plan
         return plan_message(trajectory, frame, converter)
 
@@ -81,19 +104,23 @@ class NuplanDrive:
 
 
 def built(target: str, config: Message) -> Any:
-    """The planner "module:Class": from a hydra file (`hydra` in its table), else with the keys of
-    its table as keywords.
+    """The planner "module:Class": from a hydra file (`hydra` in its table) with the other keys of
+    its table in place of those of the file, else with them as keywords.
     """
     module, name = target.split(":")
-    keywords = {key: value for key, value in config.items() if key not in ("python", "hydra")}
-    if "hydra" in config:
-        from hydra.utils import instantiate
-        from omegaconf import OmegaConf
+    kind = getattr(importlib.import_module(module), name)
+    keywords = {key: value for key, value in config.items() if key not in OWN_KEYS}
+    more: dict[str, Any] = {}
+    if kind.requires_scenario and "scenario" not in keywords:
+        more["scenario"] = DrivenScenario()
+    if "hydra" not in config:
+        return kind(**keywords, **more)
+    from hydra.utils import instantiate
+    from omegaconf import OmegaConf
 
-        tree = OmegaConf.load(config["hydra"])
-        table = tree if "_target_" in tree else next(iter(tree.values()))
-        return instantiate(OmegaConf.merge(table, keywords))
-    return getattr(importlib.import_module(module), name)(**keywords)
+    tree = OmegaConf.load(config["hydra"])
+    table = tree if "_target_" in tree else next(iter(tree.values()))
+    return instantiate(OmegaConf.merge(table, keywords), **more)
 
 
 def _goal_of(context: Message) -> StateSE2:
@@ -125,11 +152,5 @@ def serve(target: str) -> None:
         except Exception as error:
             traceback.print_exc()
             what = "build" if is_hello else "raised"
-            answer = {"type": "failed", "message": _described(error), "what": what}
+            answer = {"type": "failed", "message": describe(error), "what": what}
         channel.send(answer)
-
-
-def _described(error: Exception) -> str:
-    """The error, its file and line."""
-    last = traceback.extract_tb(error.__traceback__)[-1]
-    return f"{type(error).__name__}: {error} ({last.filename}:{last.lineno})"

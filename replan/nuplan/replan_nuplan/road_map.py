@@ -19,7 +19,14 @@ from nuplan.common.maps.maps_datatypes import SemanticMapLayer
 from shapely import STRtree
 from shapely.geometry import Point, box
 
-from .map_objects import MapArea, NuPlanRoadBlock, NuPlanRoadBlockConnector, RoadConnector, RoadLane
+from .map_objects import (
+    MapArea,
+    NuPlanRoadBlock,
+    NuPlanRoadBlockConnector,
+    OfMap,
+    RoadConnector,
+    RoadLane,
+)
 from .nuplan_channel import Message, points
 
 LARGEST_ID = 2_146_000_000
@@ -27,7 +34,7 @@ LARGEST_ID = 2_146_000_000
 JUNCTION = "intersection"
 
 
-class RoadMap(AbstractMap):
+class RoadMap(OfMap, AbstractMap):
     """The map of a drive, from `hello.context`."""
 
     def __init__(self, context: Message) -> None:

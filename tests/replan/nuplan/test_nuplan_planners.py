@@ -57,6 +57,17 @@ def test_the_command_has_the_interpreter_of_the_table() -> None:
     assert nuplan.START.is_file()
 
 
+def test_the_command_has_the_folders_of_the_path(tmp_path: Path) -> None:
+    table = {"path": [str(tmp_path)]}
+    assert nuplan.nuplan_command(SPEC, table)[2:] == ["nuplan_planner:GoesStraight", str(tmp_path)]
+
+
+@pytest.mark.parametrize("folders", ["devkit", ["nowhere"], [1]])
+def test_a_path_that_is_no_list_of_folders_is_refused(folders: object) -> None:
+    with pytest.raises(ConfigError, match="path"):
+        describe_planner(SPEC, {"path": folders}, DEFAULT_LOOP.apart)
+
+
 def test_the_side_of_nuplan_imports_nothing_of_replan() -> None:
     files = [nuplan.START, *(nuplan.START.parent / "replan_nuplan").glob("*.py")]
     assert len(files) > 5
@@ -93,11 +104,51 @@ def test_an_offset_of_the_first_pose_is_blended_out() -> None:
 
 
 @devkit
-@pytest.mark.parametrize("call", ["initialize", "compute"])
+@pytest.mark.parametrize(
+    ("call", "name"),
+    [
+        ("constructor", "its constructor"),
+        ("initialize", "initialize"),
+        ("compute", "compute_planner_trajectory"),
+    ],
+)
 @pytest.mark.usefixtures("_support")
-def test_an_error_names_the_call_and_its_line(call: str) -> None:
+def test_an_error_names_the_call_and_its_line(call: str, name: str) -> None:
     try:
         detail = driven("everyday/cut_in", {"fails": call}).detail
     except PlannerError as error:
         detail = str(error)
-    assert "nuplan_planner.py" in detail and "ValueError" in detail
+    assert f"{name} raised ValueError" in detail
+    assert "nuplan_planner.py:" in detail
+
+
+@devkit
+@pytest.mark.usefixtures("_support")
+def test_a_planner_that_requires_a_scenario_gets_one() -> None:
+    run = run_closed_loop(
+        cut(CATALOGUE["everyday/cut_in"].scenario(), 0.5),
+        "nuplan:nuplan_planner:NeedsScenario",
+        planner_config={},
+        config=DEFAULT_LOOP,
+        until_s=0.5,
+    )
+    assert run.trace.end is not EndReason.PLANNER_FAILURE, run.trace.detail
+
+
+@devkit
+@pytest.mark.parametrize("mode", list(Mode))
+@pytest.mark.usefixtures("_support")
+def test_a_fresh_planner_remembers_nothing_in_open_loop(mode: Mode) -> None:
+    """It loses a tenth of its speed with each plan: with a fresh one per frame, always a tenth."""
+    one_planner = driven("everyday/cut_in", {"tires": 0.1}, mode, until_s=1.0)
+    copies = driven("everyday/cut_in", {"tires": 0.1, "fresh": True}, mode, until_s=1.0)
+    with_memory, fresh = (
+        np.array([frame.plan.trajectory.v[40] / frame.plan.trajectory.v[0] for frame in run.frames])
+        for run in (one_planner, copies)
+    )
+    assert with_memory[0] == fresh[0] == pytest.approx(0.9, abs=0.01)
+    assert with_memory[-1] < 0.5
+    if mode is Mode.OPEN:
+        assert fresh == pytest.approx(np.full(len(fresh), 0.9), abs=0.01)
+    else:
+        assert fresh.tolist() == with_memory.tolist()

@@ -1,0 +1,111 @@
+"""The side of nuPlan's planners as far as it needs no devkit: plans, messages of errors, syntax."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, strategies as st
+
+import replan.nuplan as nuplan
+from replan.nuplan.replan_nuplan.nuplan_channel import column
+from replan.nuplan.replan_nuplan.nuplan_faults import called, describe
+from replan.nuplan.replan_nuplan.nuplan_plans import plan_message
+
+FILES = [nuplan.START, *sorted((nuplan.START.parent / "replan_nuplan").glob("*.py"))]
+Pose = Callable[[float], tuple[float, float]]
+
+
+class Seconds:
+    """The clock of a drive whose times are seconds."""
+
+    def seconds(self, time: float) -> float:
+        return time
+
+
+def trajectory(pose: Pose, begin: float = 3.0, steps: int = 81) -> Any:
+    """A trajectory of the devkit as far as a plan needs it: `pose(t)` after its begin."""
+    times = 0.1 * np.arange(steps)
+    states = [
+        SimpleNamespace(
+            rear_axle=SimpleNamespace(x=pose(t)[0], y=pose(t)[1]), time_point=begin + float(t)
+        )
+        for t in times
+    ]
+    return SimpleNamespace(get_sampled_trajectory=lambda: states)
+
+
+def columns(pose: Pose, v: float, yaw: float = 0.0, steps: int = 81) -> dict[str, Any]:
+    frame = {"t": 3.0, "ego": {"x": 0.0, "y": 0.0, "yaw": yaw, "v": v}}
+    message = plan_message(trajectory(pose, steps=steps), frame, Seconds())  # type: ignore[arg-type]
+    return {name: column(data) for name, data in message["trajectory"].items()}
+
+
+@given(v=st.floats(1.0, 30.0), aside=st.floats(-1.0, 1.0), turn=st.floats(-0.05, 0.05))
+def test_a_plan_begins_at_the_ego_and_ends_on_the_trajectory(
+    v: float, aside: float, turn: float
+) -> None:
+    def pose(t: float) -> tuple[float, float]:
+        return v * t, aside + 0.5 * turn * t * t
+
+    plan = columns(pose, v)
+    assert (plan["x"][0], plan["y"][0], plan["v"][0]) == (0.0, 0.0, v)
+    assert plan["t"][0] == 3.0
+    assert plan["t"][-1] == pytest.approx(11.0)
+    assert plan["y"][-1] == pytest.approx(pose(8.0)[1], abs=0.05)
+    assert plan["v"][-1] == pytest.approx(v, rel=0.02)
+
+
+@given(v=st.floats(2.0, 20.0), kappa=st.floats(-0.05, 0.05))
+def test_curvature_is_that_of_the_path(v: float, kappa: float) -> None:
+    def pose(t: float) -> tuple[float, float]:
+        if abs(kappa) < 1e-6:
+            return v * t, 0.0
+        return float(np.sin(kappa * v * t) / kappa), float((1 - np.cos(kappa * v * t)) / kappa)
+
+    plan = columns(pose, v)
+    assert plan["kappa"][20:60] == pytest.approx(np.full(40, kappa), abs=0.002)
+
+
+@given(v=st.floats(0.0, 10.0))
+def test_a_trajectory_that_stands_keeps_the_heading_of_the_ego(v: float) -> None:
+    plan = columns(lambda t: (0.0, 0.0), v, yaw=1.0)
+    assert (plan["v"][10:] == 0.0).all()
+    assert np.isfinite(list(plan.values())).all()
+    if v == 0.0:
+        assert (plan["yaw"] == 1.0).all()
+
+
+def test_the_message_of_an_error_names_call_line_and_remedy() -> None:
+    def lacks() -> None:
+        raise ModuleNotFoundError("No module named 'natten'", name="natten")
+
+    with pytest.raises(Exception, match="initialize") as caught:
+        called("initialize", lacks)
+    text = describe(caught.value)
+    assert text.startswith("initialize raised ModuleNotFoundError: No module named 'natten'")
+    assert "test_nuplan_side.py:" in text
+    assert "path" in text.rpartition(";")[2]
+
+
+def test_an_error_of_the_conversion_names_no_call() -> None:
+    with pytest.raises(ValueError, match="no pose after") as caught:
+        columns(lambda t: (t, 0.0), 1.0, steps=1)
+    assert describe(caught.value).startswith("ValueError: the trajectory has no pose")
+
+
+def test_a_call_gives_what_the_planner_answers() -> None:
+    assert called("sum", sum, [1, 2]) == 3
+
+
+@pytest.mark.parametrize("file", FILES, ids=lambda file: file.name)
+def test_the_side_of_nuplan_is_valid_for_python_3_9(file: Any) -> None:
+    tree = ast.parse(file.read_text(encoding="utf-8"), feature_version=(3, 9))
+    later = {("zip", "strict"), ("dataclass", "slots")}  # keywords that Python 3.9 does not have
+    calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
+    used = {(ast.unparse(call.func), keyword.arg) for call in calls for keyword in call.keywords}
+    assert not used & later

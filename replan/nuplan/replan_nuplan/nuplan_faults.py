@@ -23,10 +23,17 @@ def called(name: str, call: Callable[..., Any], *arguments: Any, **keywords: Any
 def describe(error: Exception) -> str:
     """One sentence about an exception."""
     cause = error.__cause__ if isinstance(error, CallError) else None
-    raised = cause or error
+    raised = _origin(cause or error)
     place = _place(raised)
     call = f"{error} raised " if cause else ""
     return f"{call}{type(raised).__name__}: {raised} ({place}){_remedy(raised)}"
+
+
+def _origin(error: BaseException) -> BaseException:
+    """The error from which an error was raised: hydra wraps those of what it builds."""
+    while error.__cause__:
+        error = error.__cause__
+    return error
 
 
 def _place(error: BaseException) -> str:
@@ -41,7 +48,7 @@ def _place(error: BaseException) -> str:
 
 def _remedy(error: BaseException) -> str:
     """The remedy of an error whose cause is in the settings or the environment; else nothing."""
-    if isinstance(error, ImportError):
+    if isinstance(error, ModuleNotFoundError):
         where = "install it there, or add the folder that holds it to the planner's path"
         return f"; imported by {sys.executable}: {where}"
     if type(error).__name__ == "MissingMandatoryValue":

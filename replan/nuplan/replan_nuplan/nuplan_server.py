@@ -30,6 +30,7 @@ from .nuplan_channel import Message, MessageChannel, points
 from .nuplan_faults import called, describe
 from .nuplan_plans import plan_message
 from .nuplan_states import Converter
+from .road_end import with_road_beyond
 from .road_map import RoadMap
 
 STEPS, STEP_S = 22, 0.1
@@ -50,7 +51,7 @@ class NuplanDrive:
     """One drive of a planner."""
 
     def __init__(self, target: str, hello: Message) -> None:
-        context = hello["context"]
+        context = with_road_beyond(hello["context"])
         self._map = RoadMap(context)
         self._converter = Converter(context, self._map.number)
         self._known: deque[tuple[float, Any, Any]] = deque()

@@ -92,6 +92,21 @@ def test_the_message_of_an_error_names_call_line_and_remedy() -> None:
     assert "path" in text.rpartition(";")[2]
 
 
+def test_the_cause_of_an_error_of_hydra_is_named() -> None:
+    class InstantiationException(Exception):  # noqa: N818 - as hydra calls it
+        pass
+
+    def build() -> None:
+        try:
+            raise ModuleNotFoundError("No module named 'natten'", name="natten")
+        except ImportError as error:
+            raise InstantiationException("Error locating target") from error
+
+    with pytest.raises(Exception, match="its constructor") as caught:
+        called("its constructor", build)
+    assert "raised ModuleNotFoundError: No module named 'natten'" in describe(caught.value)
+
+
 def test_an_error_of_the_conversion_names_no_call() -> None:
     with pytest.raises(ValueError, match="no pose after") as caught:
         columns(lambda t: (t, 0.0), 1.0, steps=1)

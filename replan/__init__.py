@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from replan.draw.charts.chart import Chart
     from replan.draw.charts.subject import Subject
     from replan.draw.drawn_results import DriveResult, Results, load
+    from replan.features import Features, FeatureSizes, features_of
     from replan.logs.agents import AgentKind, Agents
     from replan.logs.catalogue.family import Family
     from replan.logs.frame import Frame, PlannerContext, Predictions, Visibility
@@ -106,6 +107,8 @@ __all__ = [
     "Event",
     "EventKind",
     "Family",
+    "FeatureSizes",
+    "Features",
     "Frame",
     "Goal",
     "GraphObstacle",
@@ -159,6 +162,7 @@ __all__ = [
     "check_reader",
     "compare",
     "evaluate",
+    "features_of",
     "from_frames",
     "load",
     "metric",
@@ -174,6 +178,7 @@ _NAMES = {
     "replan.draw.charts.chart": "Chart",
     "replan.draw.charts.subject": "Subject",
     "replan.draw.drawn_results": "DriveResult Results load",
+    "replan.features": "FeatureSizes Features features_of",
     "replan.logs.agents": "AgentKind Agents",
     "replan.logs.catalogue.family": "Family",
     "replan.logs.frame": "Frame PlannerContext Predictions Visibility",

@@ -27,6 +27,7 @@ SECTIONS = {
         "Tracks Predictions Visibility Road RoadSource Lane Goal ReferenceLine StopLine Crosswalk "
         "TrafficLight Colour VehicleParameters PlanStart PlanStatus Decision DecisionKind"
     ),
+    ("What a network gets (replan.features)"): "features_of Features FeatureSizes",
     (
         "What a plan may hold for the recording"
     ): "GridCost SlGraph StGraph GraphObstacle Corridor Candidates CostTerms "

@@ -8,7 +8,15 @@ from typing import Annotated
 import typer
 
 from replan.cli import options as opt
-from replan.cli.app import StrictCommand, app, progress_lines, say, say_error, say_json
+from replan.cli.app import (
+    StrictCommand,
+    app,
+    progress_lines,
+    say,
+    say_error,
+    say_json,
+    worker_count,
+)
 from replan.cli.options import log_table, run_config
 from replan.core.errors import ConfigError, unknown_name
 
@@ -298,4 +306,81 @@ def commonroad_solution(
             write_text(file, text)
             say(file)
     if not texts:
+        raise typer.Exit(3)
+
+
+@export_app.command("features", cls=StrictCommand)
+def export_features(
+    logs: Annotated[
+        list[Path] | None, typer.Argument(help="Logs of any format, or folders of them.")
+    ] = None,
+    out: Annotated[Path | None, opt.out_option("Folder for the arrays.")] = None,
+    every: Annotated[
+        int, typer.Option("--every", help="A sample of every N-th frame.", min=1, metavar="N")
+    ] = 5,
+    suite: opt.Suite = None,
+    ego: opt.Ego = None,
+    road_map: opt.Map = None,
+    begin: opt.Begin = None,
+    end: opt.End = None,
+    repair: opt.Repair = None,
+    config: opt.Config = None,
+    settings: opt.Set = None,
+    workers: opt.Workers = None,
+    size: Annotated[
+        list[str] | None,
+        typer.Option("--size", help="A size of replan.features.FeatureSizes.", metavar="NAME=N"),
+    ] = None,
+    quiet: opt.Quiet = False,
+) -> None:
+    """Write the features of logs, with the recorded future, as NumPy arrays to train a network on.
+
+    An .npz file a log, and features.json (docs/bring_planner.md). Exit code 3: a log could not be
+    read; the others were.
+
+    [bold]Examples[/bold]
+
+      replan export features my_bags -o data
+      replan export features results/expert -o data --every 2 --size agents=64
+    """
+    from replan.cli.sign_of_life import sign_of_life
+    from replan.core.names import counted
+    from replan.core.settings import set_table, strict
+    from replan.features import FeatureSizes
+    from replan.run.evaluate import selected
+    from replan.run.feature_export import ExportedLog, export_features as export
+
+    if out is None or (not logs and suite is None):
+        raise ConfigError(
+            "name logs, or logs of the catalogue with --suite, and a folder: "
+            "replan export features my_bags -o data"
+        )
+    options = {"log": log_table(ego, road_map, begin, end, repair)}
+    run = run_config(config, options, settings or ())
+    sizes = strict(FeatureSizes, set_table(size or ()), "size")
+    selection = selected(logs or [], run, None, suite)
+    exported: list[ExportedLog] = []
+
+    def ended(log: ExportedLog) -> None:
+        exported.append(log)
+        if log.error:
+            say_error(log.error)
+
+    def progress() -> str:
+        return f"exported {len(exported)} of {counted(len(selection.sources), 'log')}"
+
+    with sign_of_life(progress_lines(quiet=quiet), progress):
+        export(
+            selection,
+            run,
+            out,
+            sizes=sizes,
+            every=every,
+            workers=worker_count(workers),
+            on_log=ended,
+        )
+    written = [log for log in exported if not log.error]
+    samples = sum(log.row["samples"] for log in written)
+    say(f"{out}: {counted(samples, 'sample')} of {counted(len(written), 'log')}")
+    if len(written) < len(exported):
         raise typer.Exit(3)

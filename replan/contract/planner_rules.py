@@ -11,8 +11,6 @@ import numpy as np
 
 from replan.contract.breaches import LOOP, Findings, call, difference, scenarios_or_default
 from replan.logs.frame import PLAN_HORIZON_S, Frame, PlannerContext
-from replan.logs.lane_groups import complete_road, lanes_of_lights
-from replan.logs.lane_route import lane_route
 from replan.logs.plan import Plan, PlanStart, PlanStatus
 from replan.logs.scenario import Scenario
 from replan.logs.states import TRAJECTORY_COLUMNS
@@ -22,7 +20,7 @@ from replan.metrics.arrival import goal_of
 from replan.planners.base import Planner
 from replan.replay.loop.closed_loop import run_closed_loop
 from replan.replay.loop.plan_check import START_M, START_MPS, SWING_MPS, checked
-from replan.replay.loop.planning import Planning
+from replan.replay.loop.planning import Planning, planner_context
 from replan.replay.parts import Factory
 from replan.replay.perception import Perception
 from replan.replay.planner_process.coordinates import (
@@ -110,19 +108,7 @@ def _name_of(extension: object) -> str:
 def context_of(scenario: Scenario) -> PlannerContext:
     """Return the context of a planner for a scenario."""
     start = logged_ego(scenario.ego, scenario.vehicle, float(scenario.ego.t[0]))
-    goal = goal_of(scenario)[0]
-    road = complete_road(scenario.road)
-    return PlannerContext(
-        road,
-        goal,
-        scenario.vehicle,
-        LOOP.plan_period_s,
-        start,
-        origin=scenario.origin,
-        route=lane_route(road, start, goal, scenario.ego),
-        light_lanes=lanes_of_lights(road),
-        start_ns=scenario.start_ns,
-    )
+    return planner_context(scenario, start, goal_of(scenario)[0], LOOP.plan_period_s)
 
 
 def frame_of(scenario: Scenario, t: float) -> Frame:
@@ -298,6 +284,7 @@ def _check_closed_loop(factory: Factory, scenario: Scenario, findings: Findings)
 
         def __init__(self, *arguments: Any, **keywords: Any) -> None:
             super().__init__(*arguments, **keywords)
+            self.context = context_of(scenario)  # that of a built-in planner has no route
             asking = WithAskedPast.of(factory, built(factory, self.context))
             self._planner = _WatchedPlanner(asking, scenario.name, findings)
 

@@ -21,7 +21,7 @@ from replan.logs.frame import Frame, PlannerContext
 from replan.logs.lane_groups import complete_road, lanes_of_lights
 from replan.logs.lane_route import LaneRoute, RouteSource, lane_route
 from replan.logs.plan import Plan
-from replan.logs.road import RoadSource
+from replan.logs.road import Goal, RoadSource
 from replan.logs.scenario import Scenario
 from replan.logs.states import TRAJECTORY_COLUMNS, EgoState
 from replan.logs.trace import EndReason, Trace
@@ -113,25 +113,10 @@ class Planning:
         self._name = f"planner '{spec}' on {scenario.name}"
         self._watch = Stopwatch()
         period = config.plan_period_ns / 1e9
-        road = scenario.road
-        route = LaneRoute()
-        if not is_built_in(spec):  # such a planner could change objects that drives share
-            road = complete_road(road)
-            route = lane_route(road, start, goal, scenario.ego)
-        if route.source is RouteSource.DRIVE:
+        context = planner_context(scenario, start, goal, period, built_in=is_built_in(spec))
+        if context.route.source is RouteSource.DRIVE:
             self.notes = (*self.notes, DRIVEN_ROUTE_NOTE)
-        self.context = PlannerContext(
-            road,
-            goal,
-            scenario.vehicle,
-            period,
-            start,
-            self._watch.lap,
-            origin=scenario.origin,
-            route=route,
-            light_lanes=lanes_of_lights(road),
-            start_ns=scenario.start_ns,
-        )
+        self.context = replace(context, lap=self._watch.lap)
         try:
             if apart:
                 planner = ApartPlanner(
@@ -193,6 +178,27 @@ class Planning:
             raise PlannerError(f"{self._name} broke its contract at {frame.t:.2f} s: {fault}")
         origin = self.context.origin
         return (plan if self.is_oracle else checked(plan, frame, origin)).recorded(keep=self._keep)
+
+
+def planner_context(
+    scenario: Scenario, start: EgoState, goal: Goal | None, period: float, *, built_in: bool = False
+) -> PlannerContext:
+    """Return the context of a planner; the built-in ones get the log's road, and no route."""
+    road, route = scenario.road, LaneRoute()
+    if not built_in:  # such a planner could change objects that drives share
+        road = complete_road(road)
+        route = lane_route(road, start, goal, scenario.ego)
+    return PlannerContext(
+        road,
+        goal,
+        scenario.vehicle,
+        period,
+        start,
+        origin=scenario.origin,
+        route=route,
+        light_lanes=lanes_of_lights(road),
+        start_ns=scenario.start_ns,
+    )
 
 
 Seat = Callable[..., Planning]

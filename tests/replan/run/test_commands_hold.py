@@ -111,8 +111,13 @@ ROWS = {
     "synth": Row("synth paper/free_road -o OUT", file="paper/free_road.mcap"),
     "synth, suite": Row("synth --suite paper/free_road -o OUT", file="suite.csv"),
     "synth, bag": Row("synth raw/parked --as ros2 -o OUT", file="raw/parked"),
-    "export": Row("export commonroad-solution {place}/us101 -o OUT", file="USA_US101-6_1_T-1.xml"),
-    "export, drive": Row("export commonroad-solution {place}/us101/closed.mcap -o OUT", ".xml"),
+    "export commonroad-solution": Row(
+        "export commonroad-solution {place}/us101 -o OUT", file="USA_US101-6_1_T-1.xml"
+    ),
+    "export features": Row("export features {place}/free.mcap --workers 0 -o OUT"),
+    "export commonroad-solution, drive": Row(
+        "export commonroad-solution {place}/us101/closed.mcap -o OUT", ".xml"
+    ),
     "plot": Row("plot {place}/run -o OUT", ".svg"),
     "plot, picture": Row("plot {place}/run --chart st -o OUT", ".png"),
     "plot, folder": Row(
@@ -225,13 +230,13 @@ READ = {
 
 
 def test_every_command_that_writes_has_a_row() -> None:
-    commands = [*app.registered_commands, *export_app.registered_commands]
+    commands = [("", command) for command in app.registered_commands]
+    commands += [("export ", command) for command in export_app.registered_commands]
     found = {
-        command.name or command.callback.__name__: command.callback
-        for command in commands
+        f"{group}{command.name or command.callback.__name__}": command.callback
+        for group, command in commands
         if command.callback
     }
-    found["export"] = found.pop("commonroad-solution")
     writes, reads = set[tuple[str, str]](), set[tuple[str, str]]()
     for command, callback in found.items():
         for name, is_written in paths(callback):

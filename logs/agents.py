@@ -32,6 +32,14 @@ class AgentKind(Enum):
         return self in (AgentKind.PEDESTRIAN, AgentKind.BICYCLE, AgentKind.MOTORCYCLE)
 
 
+class ObjectClass(Enum):
+    """What an object (`AgentKind.OBJECT`) is, where the log says it."""
+
+    CONE = "cone"
+    BARRIER = "barrier"
+    SIGN = "sign"
+
+
 USUAL_SIZE_M = {
     AgentKind.CAR: (4.5, 1.8),
     AgentKind.TRUCK: (8.0, 2.5),

@@ -14,7 +14,7 @@ import numpy as np
 
 from replan.core.arrays import BoolArray, FloatArray, IntArray, frozen
 from replan.core.kernel import kernel
-from replan.logs.agents import Agents
+from replan.logs.agents import Agents, ObjectClass
 from replan.logs.lane_route import LaneRoute
 from replan.logs.past import NOTHING_EARLIER, Earlier, Past, Snapshot
 from replan.logs.plan import Plan
@@ -119,6 +119,7 @@ class Frame:
             truth).
         lights: Current colour of each traffic light of the road, by its id.
         earlier: What `past` is made of.
+        object_classes: What the objects among the agents are, by id, where the log says it.
     """
 
     t: float
@@ -129,6 +130,7 @@ class Frame:
     visibility: Visibility | None = None
     lights: Mapping[int, Colour] = field(default_factory=dict)
     earlier: Earlier = NOTHING_EARLIER
+    object_classes: Mapping[str, ObjectClass] = field(default_factory=dict)
 
     @property
     def snapshot(self) -> Snapshot:

@@ -17,7 +17,7 @@ import numpy as np
 from replan.core.arrays import IntArray
 from replan.core.errors import LogError
 from replan.core.names import counted
-from replan.logs.agents import AgentKind
+from replan.logs.agents import AgentKind, ObjectClass
 
 CAR, TRUCK, BUS, MOTORCYCLE, BICYCLE, PEDESTRIAN, OBJECT = AgentKind
 NAMES: Mapping[str, AgentKind] = {
@@ -118,6 +118,15 @@ PARTS = (
     ("drivable", OBJECT),
 )
 """Kinds by parts of words: the first part that a word contains decides."""
+CLASSES = (
+    ("cone", ObjectClass.CONE),
+    ("pylon", ObjectClass.CONE),
+    ("barrel", ObjectClass.CONE),
+    ("barrier", ObjectClass.BARRIER),
+    ("sign", ObjectClass.SIGN),
+    ("message_board", ObjectClass.SIGN),
+)
+"""Classes of objects by parts of words: the first part that a word contains decides."""
 BLANKS = frozenset(("", "nan", "none", "null", "n/a", "<na>"))
 """Texts of a field that is empty."""
 _SHOWN = 12
@@ -129,6 +138,19 @@ def kind_of_word(word: str) -> AgentKind | None:
     if text in NAMES:
         return NAMES[text]
     return next((kind for part, kind in PARTS if part in text), None)
+
+
+def object_classes(
+    ids: Sequence[str], kinds: Sequence[AgentKind], words: Sequence[str]
+) -> dict[str, ObjectClass]:
+    """Return the class of each object by its id, of those whose words name one."""
+    classes = {}
+    for name, kind, word in zip(ids, kinds, words, strict=True):
+        text = word.lower()
+        named = next((named for part, named in CLASSES if part in text), None)
+        if kind is AgentKind.OBJECT and named is not None:
+            classes[name] = named
+    return classes
 
 
 def most_common(labels: IntArray, owner: IntArray, count: int) -> IntArray:

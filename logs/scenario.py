@@ -15,6 +15,7 @@ from types import MappingProxyType
 import numpy as np
 
 from replan.core.names import ShortNames
+from replan.logs.agents import ObjectClass
 from replan.logs.observed import Spans, inferred
 from replan.logs.repair.detections import Detections, Repair
 from replan.logs.road import Goal, Road
@@ -95,6 +96,8 @@ class Scenario:
         references: What reference drivers do in it; the replay adds them, no log holds them.
         before: States of the ego before its first one in `ego`, for the past of planners; None if
             the log has none.
+        object_classes: What the objects among the tracks are (cone, barrier, sign), by id, where
+            the log says it.
 
     Raises:
         ValueError: The scenario is shorter than its ego log, two lights have one id, or a traffic
@@ -123,6 +126,7 @@ class Scenario:
     repair: Repair | None = None
     references: References = field(default_factory=References)
     before: Trajectory | None = None
+    object_classes: Mapping[str, ObjectClass] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "metadata", MappingProxyType(dict(self.metadata)))

@@ -4,7 +4,8 @@
                                          (log time of t = 0), duration_s, origin_x_m and origin_y_m (what was subtracted
                                          from world coordinates: all coordinates are relative to it); where known
                                          traffic_s: when the others were observed, [[from, to], ...], s since start_ns
-                                         (without it, a log with an empty message on /agents: while these come)
+                                         (without it, a log with an empty message on /agents: while these come);
+                                         object_classes: {id: "cone", "barrier" or "sign"} of objects among the others
               replan.scenario.metadata   other facts about the log, free keys (generator, parameters, seed)
               replan.trace               only in a trace: planner, mode, oracle, end, detail
 

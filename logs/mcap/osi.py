@@ -19,10 +19,10 @@ import numpy as np
 
 from replan.core.arrays import FloatArray
 from replan.core.errors import LogError, reading
-from replan.logs.agents import USUAL_SIZE_M, AgentKind
+from replan.logs.agents import USUAL_SIZE_M, AgentKind, ObjectClass
 from replan.logs.complete import completed, derived_curvature, derived_speed, road_along, with_limit
 from replan.logs.heights import on_the_way
-from replan.logs.kind_words import kind_of_word
+from replan.logs.kind_words import kind_of_word, object_classes
 from replan.logs.mcap.container import COPY_AGAIN, Stream
 from replan.logs.mcap.osi_frames import (
     AX,
@@ -88,6 +88,7 @@ def scenario_of(stream: Stream, name: str, ego_id: str = "") -> Scenario:
             name=name,
             ego=ego,
             tracks=tracks,
+            object_classes=_classes_of(truth),
             road=road,
             duration=float(t[-1]),
             vehicle=vehicle,
@@ -216,6 +217,13 @@ def _tracks(
         t[frames.astype(np.int64)],
         *columns,
     )
+
+
+def _classes_of(truth: OsiFrames) -> dict[str, ObjectClass]:
+    """The classes of the stationary objects, by id."""
+    ids = list(map(str, truth.standing))
+    words = [enum_name(item.classification, "type") for item in truth.standing.values()]
+    return object_classes(ids, [AgentKind.OBJECT] * len(ids), words)
 
 
 def _kind_of(message: Any) -> AgentKind:

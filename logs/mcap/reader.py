@@ -19,7 +19,7 @@ from replan.core.arrays import BoolArray, FloatArray, IntArray
 from replan.core.errors import LogError, in_file, reading
 from replan.core.names import counted
 from replan.logs import road as nouns
-from replan.logs.agents import codes_of
+from replan.logs.agents import ObjectClass, codes_of
 from replan.logs.codec import noun_of
 from replan.logs.complete import completed, road_along
 from replan.logs.mcap import native, osi, plan_messages
@@ -169,6 +169,7 @@ def _native(container: Container) -> Scenario:
             traffic=traffic,
             detections=detections,
             repair=repair,
+            object_classes=_from_record(record, "object_classes", dict[str, ObjectClass], {}),
         )
 
 

@@ -170,6 +170,8 @@ def scenario_records(
     }
     if scenario.traffic is not None:
         record["traffic_s"] = encode(scenario.traffic).decode()
+    if scenario.object_classes:
+        record["object_classes"] = encode(scenario.object_classes).decode()
     free = dict(scenario.metadata)
     return {native.SCENARIO_RECORD: record, **({native.FREE_RECORD: free} if free else {})}
 

@@ -35,7 +35,7 @@ from replan.core.errors import LogError
 from replan.core.files import beside
 from replan.logs.agents import AgentKind
 from replan.logs.complete import completed, road_along, with_limit
-from replan.logs.kind_words import kind_of_word, most_common
+from replan.logs.kind_words import kind_of_word, most_common, object_classes
 from replan.logs.log_settings import LogSettings
 from replan.logs.maps.strips import LARGEST_M, LaneStrip, lanes_of
 from replan.logs.observed import of_stream
@@ -146,6 +146,7 @@ def read_sensor_log(folder: Path, settings: LogSettings) -> Scenario:
         ego=ego,
         before=before,
         tracks=tracks,
+        object_classes=boxes.object_classes,
         road=road_for(map_beside(folder), origin, ego, notes),
         duration=float(ego.t[-1]),
         vehicle=vehicle,
@@ -214,7 +215,8 @@ def _boxes(
             notes.append(
                 f"Categories that are not known are taken as objects: {', '.join(foreign)[:200]}."
             )
-        kinds = _kinds(owner, category, categories, len(names))
+        labels = _labels(owner, category, categories, len(names))
+        kinds = _kinds(labels)
         boxes_read = (
             t,
             owner[keep],
@@ -228,17 +230,19 @@ def _boxes(
             centre[:, 2],
             height[keep],
         )
-        boxes = on_level(RecordedBoxes(tuple(names), kinds, *boxes_read), place, notes)
+        classes = object_classes(names, kinds, labels)
+        boxes = on_level(RecordedBoxes(tuple(names), kinds, *boxes_read, classes), place, notes)
         return boxes, np.unique(stamps)
 
 
-def _kinds(
-    owner: IntArray, label: IntArray, labels: list[str], count: int
-) -> tuple[AgentKind, ...]:
-    """Return the kind of each of `count` road users, by its most frequent label."""
-    kinds = [kind_of_word(word) or AgentKind.OBJECT for word in labels]
+def _labels(owner: IntArray, label: IntArray, labels: list[str], count: int) -> list[str]:
+    """Return the most frequent label of each of `count` road users, "" without one."""
     chosen = most_common(label, owner, count)
-    return tuple(kinds[code] if code >= 0 else AgentKind.OBJECT for code in chosen)
+    return [labels[code] if code >= 0 else "" for code in chosen.tolist()]
+
+
+def _kinds(labels: list[str]) -> tuple[AgentKind, ...]:
+    return tuple(kind_of_word(label) or AgentKind.OBJECT for label in labels)
 
 
 # Motion-forecasting scenarios
@@ -291,7 +295,7 @@ def read_forecasting(path: Path, settings: LogSettings) -> Scenario:
             ego = driven(t[its], x, y, yaw, notes)
         x, y, yaw, vx, vy = state.T
         unsized = np.full(len(t), np.nan)
-        kinds_of = _kinds(owner, kind, kinds, len(names))
+        kinds_of = _kinds(_labels(owner, kind, kinds, len(names)))
         boxes = RecordedBoxes(
             tuple(names), kinds_of, t, owner, x, y, yaw, unsized, unsized, vx, vy, unsized, unsized
         )

@@ -155,6 +155,7 @@ def read_123d(folder: Path) -> Scenario:
         ego=ego,
         before=before,
         tracks=tracks,
+        object_classes=boxes.object_classes,
         road=road,
         duration=float(ego.t[-1]),
         vehicle=vehicle,

@@ -10,6 +10,7 @@ never imported. For an unknown class, the kinds are derived from the lengths.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ import numpy as np
 from replan.core.arrays import FloatArray, IntArray
 from replan.core.arrow_tables import Lists, ipc_table, metadata_of, reading, vectors, whole
 from replan.core.files import beside
-from replan.logs.agents import AgentKind
+from replan.logs.agents import AgentKind, ObjectClass
 from replan.logs.kind_words import kind_of_word, most_common
 from replan.logs.readers.recorded import (
     RecordedBoxes,
@@ -112,6 +113,28 @@ KINDS: dict[str, dict[AgentKind, tuple[int, ...]]] = {
     "DefaultBoxDetectionLabel": {_CAR: (1,), _BUS: (2,), _BICYCLE: (3,), _PEDESTRIAN: (4,)},
 }
 """Label numbers by kind and label class; numbers that are not listed are objects."""
+CLASSES: dict[str, dict[ObjectClass, tuple[int, ...]]] = {
+    "AV2SensorBoxDetectionLabel": {
+        ObjectClass.CONE: (7, 8),
+        ObjectClass.SIGN: (11, 12, 20, 21),
+    },
+    "NuPlanBoxDetectionLabel": {
+        ObjectClass.CONE: (3,),
+        ObjectClass.BARRIER: (4,),
+        ObjectClass.SIGN: (5,),
+    },
+    "NuScenesBoxDetectionLabel": {ObjectClass.CONE: (17,), ObjectClass.BARRIER: (18,)},
+    "WODPerceptionBoxDetectionLabel": {ObjectClass.SIGN: (3,)},
+    "PandasetBoxDetectionLabel": {
+        ObjectClass.CONE: (5, 18),
+        ObjectClass.BARRIER: (19, 23),
+        ObjectClass.SIGN: (6, 22),
+    },
+    "KITTI360BoxDetectionLabel": {ObjectClass.SIGN: (11, 13)},
+    "NureasoningBoxDetectionLabel": {ObjectClass.CONE: (3, 12), ObjectClass.SIGN: (4,)},
+    "TruckDriveBoxDetectionLabel": {ObjectClass.BARRIER: (3,), ObjectClass.SIGN: (7,)},
+}
+"""Label numbers by class of object and label class."""
 _AV2 = "AV2SensorBoxDetectionLabel"
 BOX_COLUMNS = np.cumsum([3, 4])
 """Where the quaternion and the size of a box begin, behind its centre."""
@@ -162,6 +185,7 @@ def read_boxes(
             vy,
             z,
             height,
+            _classes_of(label_class, ids, most_labels),
         )
         return ordered(on_level(recorded, places, notes), notes), has_velocities, frames
 
@@ -231,6 +255,14 @@ def _differences(
 ) -> FloatArray:
     span = np.maximum(t[after] - t[earlier], 1e-6)
     return np.asarray((place[after] - place[earlier]) / span[:, None])
+
+
+def _classes_of(label_class: str, ids: Sequence[str], labels: IntArray) -> dict[str, ObjectClass]:
+    """Return the classes of the objects among road users by id, of those whose label names one."""
+    of_labels = CLASSES.get(label_class.rsplit(".", 1)[-1], {})
+    by_number = {number: named for named, numbers in of_labels.items() for number in numbers}
+    labelled = zip(ids, labels.tolist(), strict=True)
+    return {name: by_number[label] for name, label in labelled if label in by_number}
 
 
 def kinds_of(

@@ -27,13 +27,14 @@ Rotations are quaternions q = (x, y, z, w) of unit length, rows of `(n, 4)`:
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from replan.core.arrays import BoolArray, Columns, FloatArray, IntArray
-from replan.logs.agents import USUAL_SIZE_M, AgentKind
+from replan.logs.agents import USUAL_SIZE_M, AgentKind, ObjectClass
 from replan.logs.complete import completed
 from replan.logs.edit.cut import HISTORY_S
 from replan.logs.heights import on_the_way
@@ -122,6 +123,7 @@ class RecordedBoxes(Columns):
     vy: FloatArray
     z: FloatArray
     height: FloatArray
+    object_classes: Mapping[str, ObjectClass] = field(default_factory=dict)
 
     @classmethod
     def empty(cls) -> RecordedBoxes:

@@ -13,7 +13,7 @@ from itertools import chain
 import numpy as np
 
 from replan.core.arrays import FloatArray
-from replan.logs.agents import Agents
+from replan.logs.agents import Agents, ObjectClass
 from replan.logs.frame import Frame, Predictions, Visibility
 from replan.logs.nearby_tracks import NearbyTracks
 from replan.logs.past import SAME_TIME_S, Earlier, PastSource, Snapshot, forget
@@ -133,7 +133,15 @@ class Perception:
         forget(self._snapshots, t)
         earlier = Earlier(tuple(self._snapshots), self._before)
         self._snapshots.append(Snapshot(t, world.ego, agents, lights))
-        return Frame(t, world.ego, agents, predictions, previous, visibility, lights, earlier)
+        classes = self._classes_of(agents)
+        return Frame(
+            t, world.ego, agents, predictions, previous, visibility, lights, earlier, classes
+        )
+
+    def _classes_of(self, agents: Agents) -> dict[str, ObjectClass]:
+        """Return the classes of the objects among the agents."""
+        classes = self._scenario.object_classes
+        return {name: classes[name] for name in agents.ids if name in classes} if classes else {}
 
     def _colours(self, t: float) -> dict[int, Colour]:
         return {light.id: light.at(t) for light in self._scenario.lights}

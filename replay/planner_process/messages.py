@@ -26,7 +26,7 @@ import msgspec
 
 from replan.core.arrays import Points
 from replan.logs import agents, frame, past, plan as nouns, states
-from replan.logs.agents import AgentKind
+from replan.logs.agents import AgentKind, ObjectClass
 from replan.logs.codec import Column, array_as_bytes, array_of, message_of, noun_of, unpacked
 from replan.logs.lane_route import RouteSource
 from replan.logs.mcap import plan_messages
@@ -246,6 +246,7 @@ class Frame(msgspec.Struct, tag="frame", omit_defaults=True):
     visibility: frame.Visibility | None
     lights: list[Light]
     earlier: list[Snapshot] = []
+    object_classes: dict[str, ObjectClass] = {}
 
 
 class Ready(msgspec.Struct, tag="ready"):
@@ -352,6 +353,7 @@ def frame_message(now: frame.Frame) -> Frame:
         previous=None if now.previous is None else plan_message(now.previous),
         visibility=now.visibility,
         lights=_light_messages(now.lights),
+        object_classes=dict(now.object_classes),
     )
 
 
@@ -391,6 +393,7 @@ def frame_of(message: Frame) -> frame.Frame:
         None if message.previous is None else plan_of(message.previous),
         message.visibility,
         {light.id: light.colour for light in message.lights},
+        object_classes=message.object_classes,
     )
 
 

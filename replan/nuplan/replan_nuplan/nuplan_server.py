@@ -55,6 +55,7 @@ class NuplanDrive:
         self._map = RoadMap(context)
         self._converter = Converter(context, self._map.number)
         self._known: deque[tuple[float, Any, Any]] = deque()
+        self._classes: dict[str, str] = {}  # of objects, by id
         self._start, self._period = context["start"]["t"], context["period"]
         self._is_fresh = hello["config"].get("fresh", False)
         planner = called("its constructor", built, target, hello["config"])
@@ -89,7 +90,8 @@ class NuplanDrive:
         return plan_message(trajectory, frame, converter)
 
     def _remember(self, snapshot: Message) -> None:
-        seen = self._converter.observation(snapshot["t"], snapshot["agents"])
+        self._classes.update(snapshot.get("object_classes", {}))
+        seen = self._converter.observation(snapshot["t"], snapshot["agents"], self._classes)
         self._known.append((snapshot["t"], self._converter.ego(snapshot["ego"]), seen))
 
     def _history(self, now: float) -> list[tuple[float, Any, Any]]:

@@ -35,7 +35,11 @@ TYPES = {
     "bicycle": TrackedObjectType.BICYCLE,
     "pedestrian": TrackedObjectType.PEDESTRIAN,
     "object": TrackedObjectType.GENERIC_OBJECT,
+    "cone": TrackedObjectType.TRAFFIC_CONE,
+    "barrier": TrackedObjectType.BARRIER,
+    "sign": TrackedObjectType.CZONE_SIGN,
 }
+"""Types by kind, and by class of object."""
 COLOURS = {
     "green": TrafficLightStatusType.GREEN,
     "yellow": TrafficLightStatusType.YELLOW,
@@ -90,8 +94,8 @@ class Converter:
             angular_vel=state["yaw_rate"],
         )
 
-    def observation(self, t: float, agents: Message) -> DetectionsTracks:
-        """The objects at a time."""
+    def observation(self, t: float, agents: Message, classes: dict[str, str]) -> DetectionsTracks:
+        """The objects at a time; `classes` of objects, by id."""
         names = ("length", "width", "x", "y", "yaw", "vx", "vy")
         columns = [column(agents[name]).tolist() for name in names]
         time_us = self.time(t).time_us
@@ -100,8 +104,8 @@ class Converter:
             length, width, x, y, yaw, vx, vy = (values[row] for values in columns)
             metadata = SceneObjectMetadata(time_us, f"{name}@{time_us}", row, name, kind)
             shape = OrientedBox(StateSE2(x, y, wrapped(yaw)), length, width, HEIGHT_M)
-            if TYPES[kind] is TrackedObjectType.GENERIC_OBJECT:
-                tracked.append(StaticObject(TYPES[kind], shape, metadata))
+            if kind == "object":
+                tracked.append(StaticObject(TYPES[classes.get(name, kind)], shape, metadata))
             else:
                 tracked.append(Agent(TYPES[kind], shape, StateVector2D(vx, vy), metadata))
         return DetectionsTracks(TrackedObjects(tracked))

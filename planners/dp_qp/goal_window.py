@@ -28,6 +28,7 @@ import numpy as np
 
 from replan.core.arrays import FloatArray
 from replan.core.kernel import kernel
+from replan.core.once import once
 from replan.logs.road import Goal
 from replan.logs.vehicle import VehicleParameters
 from replan.planners.frenet.profiles import COMFORT
@@ -90,7 +91,7 @@ class GoalWindow:
         )
         self._limit = reference.line.s, reference.limit
         self._road_end = float(reference.line.s[-1]) - vehicle.axle_to_front
-        self._sides = _sides(goal, reference) if goal else NO_SIDES
+        self._sides = _sides(reference, goal) if goal else NO_SIDES
 
     @property
     def slow_zone(self) -> tuple[float, float, float] | None:
@@ -198,7 +199,8 @@ def _region(goal: Goal, reference: ReferencePath, beside: float) -> FloatArray:
     return np.array([min(stations), max(stations)] if stations else [np.nan, np.nan])
 
 
-def _sides(goal: Goal, reference: ReferencePath) -> FloatArray:
+@once
+def _sides(reference: ReferencePath, goal: Goal) -> FloatArray:
     """Rows station, least and greatest offset `(3, n)` of (4), NaN where there is no region.
 
     Of several regions it takes the one around the line, else the nearest one.
@@ -211,11 +213,12 @@ def _sides(goal: Goal, reference: ReferencePath) -> FloatArray:
     pieces: list[list[tuple[float, float]]] = [[] for _ in stations]
     for region in goal.regions:
         first, last = _region(Goal((region,)), reference, np.inf)
+        following = np.arange(1, len(region) + 1) % len(region)
         for k in np.flatnonzero((first <= stations) & (stations <= last)):
             x, y, yaw, _ = reference.line.frame(float(stations[k]))
             along = (region - (x, y)) @ (np.cos(yaw), np.sin(yaw))
             aside = (region - (x, y)) @ (-np.sin(yaw), np.cos(yaw))
-            next_along, next_aside = np.roll(along, -1), np.roll(aside, -1)
+            next_along, next_aside = along[following], aside[following]
             # Where the normal of the line runs through the region
             cut = (along > 0.0) != (next_along > 0.0)
             crossings = np.sort(

@@ -140,11 +140,7 @@ def _value_at(value: Any, path: str) -> Any:
 def _choices(kind: Any, path: str) -> tuple[Any, ...]:
     """The values that a type allows at a place ("loop.mode"), if they are listed."""
     for name in filter(None, path.split(".")):
-        kind = (
-            get_type_hints(kind).get(name)
-            if isinstance(kind, type) and is_dataclass(kind)
-            else None
-        )
+        kind = _hints_of(kind).get(name) if isinstance(kind, type) and is_dataclass(kind) else None
     return get_args(kind) if get_origin(kind) is Literal else ()
 
 
@@ -152,11 +148,17 @@ def _known_tree(cls: type, table: Mapping[str, Any], where: str) -> None:
     known_keys(
         table, (item.name for item in fields(cls) if item.metadata.get("key", item.init)), where
     )
-    hints = get_type_hints(cls)
+    hints = _hints_of(cls)
     for key, value in table.items():
         kind = hints[key]
         if isinstance(kind, type) and is_dataclass(kind) and isinstance(value, Mapping):
             _known_tree(kind, value, dotted(where, key))
+
+
+@cache
+def _hints_of(kind: type) -> dict[str, Any]:
+    """The types of the fields of a dataclass."""
+    return get_type_hints(kind)
 
 
 def known_keys(table: Mapping[str, Any], known: Iterable[str], where: str) -> None:

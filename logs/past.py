@@ -145,7 +145,7 @@ class Earlier:
         offset: Is added to all their positions, m.
     """
 
-    snapshots: tuple[Snapshot, ...] = ()
+    snapshots: Sequence[Snapshot] = ()
     before: Before = field(default=_nothing_before)
     offset: tuple[float, float] = (0.0, 0.0)
 

@@ -24,6 +24,7 @@ from replan.core.arrays import BoolArray, FloatArray
 from replan.core.errors import ConfigError, unknown_name
 from replan.logs.agents import AgentKind
 from replan.logs.frame import Frame, PlannerContext, Predictions
+from replan.logs.past import Snapshot
 from replan.logs.road import Road
 from replan.logs.rules import RED, Colour
 
@@ -705,7 +706,11 @@ class ChangedFrames(Sequence[Frame]):
 
     def _make(self, index: int) -> Frame:
         edit = self._change.row.edit
-        return self._frames[index] if edit is None else edit(self.input_at(index))
+        if edit is None:
+            return self._frames[index]
+        frame = edit(self.input_at(index))
+        snapshots = ChangedSnapshots(self, index, frame.earlier.snapshots)
+        return replace(frame, earlier=replace(frame.earlier, snapshots=snapshots))
 
     def input_at(self, index: int) -> ChangedInput:
         """What the edit of a frame gets."""
@@ -717,6 +722,27 @@ class ChangedFrames(Sequence[Frame]):
             self._change.value,
             np.array(about, dtype=np.bool_),
         )
+
+
+class ChangedSnapshots(Sequence[Snapshot]):
+    """What was shown before a changed frame, changed likewise, if a planner asks for its past.
+
+    Args:
+        frames: The changed frames.
+        index: The frame.
+        given: What was shown before it, unchanged; the last ones are those of the frames before.
+    """
+
+    def __init__(self, frames: ChangedFrames, index: int, given: Sequence[Snapshot]) -> None:
+        self._frames, self._given = frames, given
+        self._first = index - len(given)
+
+    def __len__(self) -> int:
+        return len(self._given)
+
+    def __getitem__(self, index: int) -> Snapshot:  # type: ignore[override]
+        place = self._first + range(len(self))[index]
+        return self._frames[place].snapshot if place >= 0 else self._given[index]
 
 
 def limits_that_fit(drives: Sequence[Sequence[Frame]], change: InputChange) -> tuple[float, float]:

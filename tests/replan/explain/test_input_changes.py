@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from differences import differences
 from hypothesis import given, settings, strategies as st
 
 from replan.contract.planner_rules import context_of, frame_of
@@ -21,6 +22,7 @@ from replan.explain.input_changes import (
 )
 from replan.logs.agents import NUMBERS, AgentKind
 from replan.logs.frame import Frame
+from replan.logs.past import Earlier
 from replan.logs.rules import Colour
 from replan.run.log_source import LogSource
 
@@ -95,6 +97,20 @@ def test_delayed_agents_are_those_of_the_earlier_frame_and_of_the_first_one_at_t
     assert delayed[LAST].agents is FRAMES[LAST - 4].agents
     assert delayed[LAST].ego is FRAMES[LAST].ego
     assert delayed[2].agents is FRAMES[0].agents
+
+
+@pytest.mark.parametrize("text", ["delay agents 4", "shift agents left 1.5", "lights green"])
+def test_the_past_of_a_changed_frame_is_that_of_the_changed_frames(text: str) -> None:
+    frames = [
+        replace(frame, earlier=Earlier(tuple(before.snapshot for before in FRAMES[:n])))
+        for n, frame in enumerate(FRAMES)
+    ]
+    after = changed(frames, [parse(text)])
+    shown = Earlier(tuple(after[n].snapshot for n in range(LAST))).past(after[LAST].snapshot)
+    assert not differences(after[LAST].past, shown)
+    alone = changed(frames[LAST:], [parse(text)])[0]  # without the frames before: as given
+    assert len(alone.past.t) == len(shown.t)
+    assert differences(alone.past, shown)
 
 
 def test_delays_add_up() -> None:

@@ -12,6 +12,9 @@ planners do not smooth, are not driven. Here
         stations after it are moved by what this gains
 (4) heading, curvature and acceleration are those of the positions, as
         `replan.replay.loop.plan_check` asks for
+(5) the plan ends before its first pose, later than `COMPLETE_S`, whose acceleration is above
+        `HARDEST_MPS2`, with a reason: nuPlan never drives so far along a trajectory, and PDM-Closed
+        does not slow down for bends
 """
 
 from __future__ import annotations
@@ -32,6 +35,10 @@ BLEND_S, AHEAD_S = 1.5, 1.0
 LEAST_STEP_S = 1e-3
 STEP_S = 0.1
 """Step of a plan."""
+COMPLETE_S = 3.0
+"""Duration of a complete plan."""
+HARDEST_MPS2 = 15.0
+"""More than a road car can do; replan refuses a plan at 20 m/s2."""
 STANDS_M = 0.02
 """Steps shorter than this have the heading of the step before."""
 BEYOND_M = 100.0
@@ -55,10 +62,21 @@ def plan_message(trajectory: Any, frame: Message, converter: Converter) -> Messa
     x, y = x + (ego["x"] - x[0]) * left, y + (ego["y"] - y[0]) * left  # (2)
     x, y, v = _from_speed(t, x, y, ego["v"])
     yaw, kappa = _bends(x, y, ego["yaw"])
-    columns = (frame["t"] + t, x, y, yaw, v, np.gradient(v, t), kappa)
+    a = np.gradient(v, t)
+    end, reason = _drivable(t, np.hypot(a, v * v * kappa))
+    columns = (frame["t"] + t, x, y, yaw, v, a, kappa)
     names = ("t", "x", "y", "yaw", "v", "a", "kappa")
-    packed = {n: np.asarray(c, "<f8").tobytes() for n, c in zip(names, columns)}
-    return {"type": "plan", "trajectory": packed}
+    packed = {n: np.asarray(c[:end], "<f8").tobytes() for n, c in zip(names, columns)}
+    return {"type": "plan", "trajectory": packed, "reason": reason}
+
+
+def _drivable(t: Floats, hard: Floats) -> tuple[int, str]:
+    """The number of poses of the plan (5), and its reason; `hard`: accelerations, m/s2."""
+    beyond = np.flatnonzero((hard > HARDEST_MPS2) & (t > COMPLETE_S))
+    if not len(beyond):
+        return len(t), ""
+    end = int(beyond[0])
+    return end, f"ends after {t[end - 1]:.1f} s: the trajectory then asks for {hard[end]:.0f} m/s2"
 
 
 def _smooth(column: Floats) -> Floats:

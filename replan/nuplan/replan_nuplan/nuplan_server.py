@@ -16,7 +16,6 @@ import gc
 import importlib
 import traceback
 from collections import deque
-from dataclasses import dataclass
 from typing import Any
 
 from nuplan.common.actor_state.state_representation import StateSE2
@@ -40,11 +39,12 @@ OWN_KEYS = ("python", "path", "hydra", "fresh")
 """Keys of a planner's table that are not keywords of its class."""
 
 
-@dataclass(frozen=True)
 class DrivenScenario:
-    """What a planner with `requires_scenario` gets: logs of replan have no type of nuPlan's."""
+    """What a planner with `requires_scenario` gets: logs of replan have no type of nuPlan's. No
+    dataclass, which hydra would convert to a dictionary.
+    """
 
-    scenario_type: str = "unknown"
+    scenario_type = "unknown"
 
 
 class NuplanDrive:

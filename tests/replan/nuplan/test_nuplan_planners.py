@@ -24,6 +24,8 @@ SUPPORT = Path(__file__).parents[2] / "support"
 SPEC = "nuplan:nuplan_planner:GoesStraight"
 devkit = pytest.mark.skipif(find_spec("nuplan") is None, reason="nuPlan's devkit is not installed")
 
+hydra = pytest.mark.skipif(find_spec("hydra") is None, reason="hydra is not installed")
+
 
 @pytest.fixture
 def _support(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -123,12 +125,15 @@ def test_an_error_names_the_call_and_its_line(call: str, name: str) -> None:
 
 
 @devkit
+@pytest.mark.parametrize("is_hydra", [False, pytest.param(True, marks=hydra)])
 @pytest.mark.usefixtures("_support")
-def test_a_planner_that_requires_a_scenario_gets_one() -> None:
+def test_a_planner_that_requires_a_scenario_gets_one(is_hydra: bool, tmp_path: Path) -> None:
+    file = tmp_path / "planner.yaml"
+    file.write_text("planner: {_target_: nuplan_planner.NeedsScenario, _convert_: all}\n")
     run = run_closed_loop(
         cut(CATALOGUE["everyday/cut_in"].scenario(), 0.5),
         "nuplan:nuplan_planner:NeedsScenario",
-        planner_config={},
+        planner_config={"hydra": str(file)} if is_hydra else {},
         config=DEFAULT_LOOP,
         until_s=0.5,
     )

@@ -39,9 +39,13 @@ def trajectory(pose: Pose, begin: float = 3.0, steps: int = 81) -> Any:
     return SimpleNamespace(get_sampled_trajectory=lambda: states)
 
 
-def columns(pose: Pose, v: float, yaw: float = 0.0, steps: int = 81) -> dict[str, Any]:
+def message_of(pose: Pose, v: float, yaw: float = 0.0, steps: int = 81) -> dict[str, Any]:
     frame = {"t": 3.0, "ego": {"x": 0.0, "y": 0.0, "yaw": yaw, "v": v}}
-    message = plan_message(trajectory(pose, steps=steps), frame, Seconds())  # type: ignore[arg-type]
+    return plan_message(trajectory(pose, steps=steps), frame, Seconds())  # type: ignore[arg-type]
+
+
+def columns(pose: Pose, v: float, yaw: float = 0.0, steps: int = 81) -> dict[str, Any]:
+    message = message_of(pose, v, yaw, steps)
     return {name: column(data) for name, data in message["trajectory"].items()}
 
 
@@ -78,6 +82,34 @@ def test_a_trajectory_that_stands_keeps_the_heading_of_the_ego(v: float) -> None
     assert np.isfinite(list(plan.values())).all()
     if v == 0.0:
         assert (plan["yaw"] == 1.0).all()
+
+
+def turns_after(begin: float, kappa: float) -> Pose:
+    """Straight on at 14 m/s, and after some seconds on an arc."""
+
+    def pose(t: float) -> tuple[float, float]:
+        s = 14.0 * max(t - begin, 0.0)
+        x = 14.0 * min(t, begin) + float(np.sin(kappa * s)) / kappa
+        return x, float(1.0 - np.cos(kappa * s)) / kappa
+
+    return pose
+
+
+def test_a_plan_ends_before_what_no_car_can_drive() -> None:
+    message = message_of(turns_after(5.0, 1.0 / 7.5), 14.0)
+    t = column(message["trajectory"]["t"])
+    assert 7.0 < t[-1] <= 8.1  # it starts at 3.0
+    assert "asks for" in message["reason"]
+    assert all(len(column(data)) == len(t) for data in message["trajectory"].values())
+
+
+@pytest.mark.parametrize(("begin", "kappa"), [(5.0, 1.0 / 40.0), (1.0, 1.0 / 7.5)])
+def test_a_plan_is_whole_if_a_car_can_drive_it_or_not_even_its_first_seconds(
+    begin: float, kappa: float
+) -> None:
+    message = message_of(turns_after(begin, kappa), 14.0)
+    last = column(message["trajectory"]["t"])[-1]
+    assert last == pytest.approx(11.0) if kappa < 0.1 else last < 6.5
 
 
 def test_the_message_of_an_error_names_call_line_and_remedy() -> None:

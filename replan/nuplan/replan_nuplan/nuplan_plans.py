@@ -6,8 +6,12 @@ of 1 s ahead (`LQRTracker`, `tracking_horizon` 10), so that the first steps of a
 planners do not smooth, are not driven. Here
 
 (1) positions are smoothed by polynomials of degree `DEGREE` over `WINDOW` poses (Savitzky-Golay)
-(2) the first pose may be beside the ego (PDM projects it on its path): p(t) += (p_ego - p(0)) (1 -
-        w(u)),  w = u^2 (3 - 2 u),  u = t / `BLEND_S`
+(2) the path may begin beside the ego (PDM projects it on its path), or in another direction. At
+        station s it is moved by  h0(u) d + h1(u) L tan(psi) n,  u = s / L,  until u = 1, with
+        h0 = (1 - u)^2 (1 + 2 u),  h1 = u (1 - u)^2,  d: from the first pose to the ego, psi: the
+        ego's heading off that of the path's first `AIM_M`, n: the path's normal there. L is the
+        distance of `BLEND_S`, or as much longer as keeps the curvature of this, 6 |d| / L^2 and
+        4 |tan psi| / L, below `BLEND_KAPPA` and its lateral acceleration below `BLEND_MPS2`
 (3) for t < `AHEAD_S` the speed goes linearly from the ego's to the trajectory's at `AHEAD_S`; the
         stations after it are moved by what this gains
 (4) heading, curvature and acceleration are those of the positions, as
@@ -32,6 +36,12 @@ if TYPE_CHECKING:
 
 WINDOW, DEGREE = 11, 3
 BLEND_S, AHEAD_S = 1.5, 1.0
+BLEND_KAPPA = 0.1
+"""1/m; cars reach 0.2."""
+BLEND_MPS2 = 2.0
+AIM_M = 1.0
+STEEPEST = 1.0
+"""Largest tan psi."""
 LEAST_STEP_S = 1e-3
 STEP_S = 0.1
 """Step of a plan."""
@@ -57,9 +67,7 @@ def plan_message(trajectory: Any, frame: Message, converter: Converter) -> Messa
     t = np.arange(0.0, times[rises][-1] + 0.5 * STEP_S, STEP_S)
     x, y = (_smooth(np.interp(t, times[rises], column[rises])) for column in places.T)
     ego = frame["ego"]
-    share = np.clip(t / BLEND_S, 0.0, 1.0)
-    left = 1.0 - share * share * (3.0 - 2.0 * share)
-    x, y = x + (ego["x"] - x[0]) * left, y + (ego["y"] - y[0]) * left  # (2)
+    x, y = _from_ego(t, x, y, ego)
     x, y, v = _from_speed(t, x, y, ego["v"])
     yaw, kappa = _bends(x, y, ego["yaw"])
     a = np.gradient(v, t)
@@ -82,6 +90,28 @@ def _drivable(t: Floats, hard: Floats) -> tuple[int, str]:
 def _smooth(column: Floats) -> Floats:
     """(1)."""
     return savgol_filter(column, WINDOW, DEGREE) if len(column) >= WINDOW else column
+
+
+def _from_ego(t: Floats, x: Floats, y: Floats, ego: Message) -> tuple[Floats, Floats]:
+    """The positions (2) of a path that begins at the ego, in its direction."""
+    s = np.r_[0.0, np.cumsum(np.hypot(np.diff(x), np.diff(y)))]
+    off_x, off_y = ego["x"] - x[0], ego["y"] - y[0]
+    direction, slope = ego["yaw"], 0.0
+    if s[-1] > AIM_M:
+        aim = int(np.searchsorted(s, AIM_M))
+        direction = np.arctan2(y[aim] - y[0], x[aim] - x[0])
+        psi = (ego["yaw"] - direction + np.pi) % (2.0 * np.pi) - np.pi
+        slope = np.clip(np.tan(np.clip(psi, -1.5, 1.5)), -STEEPEST, STEEPEST)
+    speed = max(abs(ego["v"]), 1.0)
+    kappa = min(BLEND_KAPPA, BLEND_MPS2 / speed**2)
+    needed = max(np.sqrt(6.0 * np.hypot(off_x, off_y) / kappa), 4.0 * abs(slope) / kappa)
+    length = max(float(np.interp(BLEND_S, t, s)), needed, AIM_M)
+    u = np.clip(s / length, 0.0, 1.0)
+    offset, turn = (1.0 - u) ** 2 * (1.0 + 2.0 * u), u * (1.0 - u) ** 2 * length * slope
+    return (
+        x + offset * off_x - turn * np.sin(direction),
+        y + offset * off_y + turn * np.cos(direction),
+    )
 
 
 def _from_speed(t: Floats, x: Floats, y: Floats, first: float) -> tuple[Floats, Floats, Floats]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Callable
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,7 +15,7 @@ from hypothesis import given, strategies as st
 import replan.nuplan as nuplan
 from replan.nuplan.replan_nuplan.nuplan_channel import column
 from replan.nuplan.replan_nuplan.nuplan_faults import called, describe
-from replan.nuplan.replan_nuplan.nuplan_plans import plan_message
+from replan.nuplan.replan_nuplan.nuplan_plans import BLEND_KAPPA, BLEND_MPS2, plan_message
 
 FILES = [nuplan.START, *sorted((nuplan.START.parent / "replan_nuplan").glob("*.py"))]
 Pose = Callable[[float], tuple[float, float]]
@@ -110,6 +111,43 @@ def test_a_plan_is_whole_if_a_car_can_drive_it_or_not_even_its_first_seconds(
     message = message_of(turns_after(begin, kappa), 14.0)
     last = column(message["trajectory"]["t"])[-1]
     assert last == pytest.approx(11.0) if kappa < 0.1 else last < 6.5
+
+
+@given(v=st.floats(2.0, 30.0), aside=st.floats(-2.0, 2.0), drift=st.floats(-1.0, 1.0))
+def test_the_way_from_the_ego_to_the_path_can_be_driven(
+    v: float, aside: float, drift: float
+) -> None:
+    """It begins in the ego's heading, and bends no more than a car can."""
+    yaw = -drift / v
+    plan = columns(lambda t: (v * t, aside), v, yaw)
+    bound = 2.0 * min(BLEND_KAPPA, BLEND_MPS2 / v**2)
+    assert abs(plan["yaw"][0] - yaw) < 0.1 * v * bound
+    assert np.abs(plan["kappa"]).max() < bound
+
+
+@pytest.mark.parametrize("v", [2.0, 8.0, 25.0])
+@pytest.mark.parametrize("drift", [-1.0, 0.0, 1.0])
+def test_an_ego_that_plans_again_at_each_step_comes_to_the_path_and_stays(
+    v: float, drift: float
+) -> None:
+    """The ego follows each plan for a step; the path is the x axis, at a constant speed; the ego
+    begins 1 m beside it, and drifts, m/s.
+    """
+    ego = {"x": 0.0, "y": 1.0, "yaw": drift / v, "v": v}
+    offsets = []
+    for _ in range(150):
+        begin = ego["x"]
+        path = trajectory(partial(along_x, begin, v))
+        plan = plan_message(path, {"t": 3.0, "ego": ego}, Seconds())  # type: ignore[arg-type]
+        step = {name: float(column(data)[1]) for name, data in plan["trajectory"].items()}
+        ego = {name: step[name] for name in ego}
+        offsets.append(ego["y"])
+    assert np.abs(offsets[-20:]).max() < 0.05
+    assert min(offsets) > -0.5
+
+
+def along_x(begin: float, v: float, t: float) -> tuple[float, float]:
+    return begin + v * t, 0.0
 
 
 def test_the_message_of_an_error_names_call_line_and_remedy() -> None:

@@ -13,7 +13,8 @@ planners do not smooth, are not driven. Here
         distance of `BLEND_S`, or as much longer as keeps the curvature of this, 6 |d| / L^2 and
         4 |tan psi| / L, below `BLEND_KAPPA` and its lateral acceleration below `BLEND_MPS2`
 (3) for t < `AHEAD_S` the speed goes linearly from the ego's to the trajectory's at `AHEAD_S`; the
-        stations after it are moved by what this gains
+        stations after it are moved by what this gains. Where the poses go backward (PDM-Closed
+        brakes so in an emergency: hard at once, for nuPlan's tracker) the ego brakes to a stand
 (4) heading, curvature and acceleration are those of the positions, as
         `replan.replay.loop.plan_check` asks for
 (5) the plan ends before its first pose, later than `COMPLETE_S`, whose acceleration is above
@@ -43,6 +44,8 @@ AIM_M = 1.0
 STEEPEST = 1.0
 """Largest tan psi."""
 LEAST_STEP_S = 1e-3
+BACKWARD, LEAST_BACK_M = 0.7, 0.001
+"""A step goes backward if this share of its length, and a bit, leads against the heading."""
 STEP_S = 0.1
 """Step of a plan."""
 COMPLETE_S = 3.0
@@ -60,15 +63,17 @@ def plan_message(trajectory: Any, frame: Message, converter: Converter) -> Messa
     """The message of a trajectory that starts at a frame; ValueError if it has no later pose."""
     states = trajectory.get_sampled_trajectory()
     places = np.array([[state.rear_axle.x, state.rear_axle.y] for state in states])
+    headings = np.array([state.rear_axle.heading for state in states])
     times = np.array([converter.seconds(state.time_point) for state in states]) - frame["t"]
     rises = np.r_[True, np.diff(np.maximum.accumulate(times)) > LEAST_STEP_S]
     if times[rises][-1] < STEP_S:
         raise ValueError("the trajectory has no pose after the frame's time")
+    places, backward = _stands_before_backing(times, places, headings)
     t = np.arange(0.0, times[rises][-1] + 0.5 * STEP_S, STEP_S)
     x, y = (_smooth(np.interp(t, times[rises], column[rises])) for column in places.T)
     ego = frame["ego"]
     x, y = _from_ego(t, x, y, ego)
-    x, y, v = _from_speed(t, x, y, ego["v"])
+    x, y, v = _from_speed(t, x, y, ego, backward)
     yaw, kappa = _bends(x, y, ego["yaw"])
     a = np.gradient(v, t)
     end, reason = _drivable(t, np.hypot(a, v * v * kappa))
@@ -114,29 +119,55 @@ def _from_ego(t: Floats, x: Floats, y: Floats, ego: Message) -> tuple[Floats, Fl
     )
 
 
-def _from_speed(t: Floats, x: Floats, y: Floats, first: float) -> tuple[Floats, Floats, Floats]:
-    """The positions and speeds (3) of a path that begins at a speed, m/s."""
+def _stands_before_backing(times: Floats, places: Floats, headings: Floats) -> tuple[Floats, float]:
+    """The positions `(n, 2)` until they first go backward, and there from then on; and the speed
+    at which they do within `AHEAD_S`, m/s, else 0.
+    """
+    steps = np.diff(places, axis=0)
+    ahead = steps[:, 0] * np.cos(headings[:-1]) + steps[:, 1] * np.sin(headings[:-1])
+    backs = ahead < -BACKWARD * np.hypot(*steps.T) - LEAST_BACK_M
+    if not backs.any():
+        return places, 0.0
+    first = int(np.argmax(backs))
+    speed = -float(ahead[first]) / max(times[first + 1] - times[first], LEAST_STEP_S)
+    return places[np.minimum(np.arange(len(places)), first)], speed if times[
+        first
+    ] < AHEAD_S else 0.0
+
+
+def _from_speed(
+    t: Floats, x: Floats, y: Floats, ego: Message, backward: float
+) -> tuple[Floats, Floats, Floats]:
+    """The positions and speeds (3) of a path that begins at the ego; `backward`: the speed at which
+    the trajectory goes backward, m/s.
+    """
     s = np.r_[0.0, np.cumsum(np.hypot(np.diff(x), np.diff(y)))]
     v = np.gradient(s, t)
     k = min(round(AHEAD_S / STEP_S), len(t) - 1)
+    begin = max(ego["v"], 0.0)
+    aim = -backward if backward > 0.0 else v[k]
+    change = aim - begin
     u = t[: k + 1] / t[k]
-    begin = max(first, 0.0)
-    gained = t[k] * (begin * u + 0.5 * (v[k] - begin) * u * u)
+    moving = np.minimum(u, begin / -change) if aim < 0.0 else u
+    gained = t[k] * (begin * moving + 0.5 * change * moving * moving)
     stations: Floats = np.append(gained, s[k + 1 :] + gained[-1] - s[k])
-    speeds = np.r_[first, (begin + (v[k] - begin) * u)[1:], v[k + 1 :]]
-    longer = np.append(s, s[-1] + BEYOND_M)
-    dx, dy = _direction(x, y)
-    beyond_x, beyond_y = np.append(x, x[-1] + BEYOND_M * dx), np.append(y, y[-1] + BEYOND_M * dy)
-    return np.interp(stations, longer, beyond_x), np.interp(stations, longer, beyond_y), speeds
+    speeds = np.r_[ego["v"], np.maximum(begin + change * u, 0.0)[1:], v[k + 1 :]]
+    if backward > 0.0:
+        stations[k + 1 :], speeds[k + 1 :] = gained[-1], 0.0
+    dx, dy = _direction(x, y, ego["yaw"])
+    beyond = s[-1] + BEYOND_M
+    longer_x, longer_y = np.append(x, x[-1] + BEYOND_M * dx), np.append(y, y[-1] + BEYOND_M * dy)
+    longer = np.append(s, beyond)
+    return np.interp(stations, longer, longer_x), np.interp(stations, longer, longer_y), speeds
 
 
-def _direction(x: Floats, y: Floats) -> tuple[float, float]:
-    """The direction of the last step that moves; (0, 0) if none does."""
+def _direction(x: Floats, y: Floats, yaw: float) -> tuple[float, float]:
+    """The direction of the last step that moves; the ego's heading if none does."""
     dx, dy = np.diff(x), np.diff(y)
     length = np.hypot(dx, dy)
     moving = np.flatnonzero(length > 1e-6)
     if not len(moving):
-        return 0.0, 0.0
+        return float(np.cos(yaw)), float(np.sin(yaw))
     k = moving[-1]
     return float(dx[k] / length[k]), float(dy[k] / length[k])
 

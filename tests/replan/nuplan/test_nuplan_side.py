@@ -28,25 +28,31 @@ class Seconds:
         return time
 
 
-def trajectory(pose: Pose, begin: float = 3.0, steps: int = 81) -> Any:
-    """A trajectory of the devkit as far as a plan needs it: `pose(t)` after its begin."""
-    times = 0.1 * np.arange(steps)
-    states = [
-        SimpleNamespace(
-            rear_axle=SimpleNamespace(x=pose(t)[0], y=pose(t)[1]), time_point=begin + float(t)
-        )
-        for t in times
-    ]
+def trajectory(
+    pose: Pose, begin: float = 3.0, steps: int = 81, heading: float | None = None
+) -> Any:
+    """A trajectory of the devkit as far as a plan needs it: `pose(t)` after its begin; its heading
+    is given, else that of the motion.
+    """
+    states = []
+    for t in 0.1 * np.arange(steps):
+        (x, y), (next_x, next_y) = pose(t), pose(t + 0.01)
+        yaw = float(np.arctan2(next_y - y, next_x - x)) if heading is None else heading
+        axle = SimpleNamespace(x=x, y=y, heading=yaw)
+        states.append(SimpleNamespace(rear_axle=axle, time_point=begin + float(t)))
     return SimpleNamespace(get_sampled_trajectory=lambda: states)
 
 
-def message_of(pose: Pose, v: float, yaw: float = 0.0, steps: int = 81) -> dict[str, Any]:
+def message_of(
+    pose: Pose, v: float, yaw: float = 0.0, steps: int = 81, heading: float | None = None
+) -> dict[str, Any]:
     frame = {"t": 3.0, "ego": {"x": 0.0, "y": 0.0, "yaw": yaw, "v": v}}
-    return plan_message(trajectory(pose, steps=steps), frame, Seconds())  # type: ignore[arg-type]
+    path = trajectory(pose, steps=steps, heading=heading)
+    return plan_message(path, frame, Seconds())  # type: ignore[arg-type]
 
 
-def columns(pose: Pose, v: float, yaw: float = 0.0, steps: int = 81) -> dict[str, Any]:
-    message = message_of(pose, v, yaw, steps)
+def columns(pose: Pose, v: float, yaw: float = 0.0, **more: Any) -> dict[str, Any]:
+    message = message_of(pose, v, yaw, **more)
     return {name: column(data) for name, data in message["trajectory"].items()}
 
 
@@ -74,6 +80,22 @@ def test_curvature_is_that_of_the_path(v: float, kappa: float) -> None:
 
     plan = columns(pose, v)
     assert plan["kappa"][20:60] == pytest.approx(np.full(40, kappa), abs=0.002)
+
+
+@pytest.mark.parametrize("v", [0.0, 1.0, 2.0, 4.0])
+@pytest.mark.parametrize("yaw", [0.0, 2.0])
+def test_an_ego_brakes_to_a_stand_where_poses_go_backward(v: float, yaw: float) -> None:
+    """As PDM-Closed brakes in an emergency: poses at 1.1 (v - 4.05)."""
+    speed = 1.1 * (v - 4.05)
+    plan = columns(
+        lambda t: (speed * t * np.cos(yaw), speed * t * np.sin(yaw)), v, yaw, heading=yaw
+    )
+    assert plan["v"][10:] == pytest.approx(np.zeros(71))
+    assert (np.diff(plan["v"]) <= 0.0).all()
+    gone = np.hypot(plan["x"][-1], plan["y"][-1])
+    assert gone == pytest.approx(0.5 * v * v / (v - speed), abs=1e-6)
+    assert gone == pytest.approx(plan["x"][-1] * np.cos(yaw) + plan["y"][-1] * np.sin(yaw))
+    assert plan["yaw"] == pytest.approx(np.full(81, yaw))
 
 
 @given(v=st.floats(0.0, 10.0))

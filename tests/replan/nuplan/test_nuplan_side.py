@@ -71,7 +71,7 @@ def test_a_plan_begins_at_the_ego_and_ends_on_the_trajectory(
     assert plan["v"][-1] == pytest.approx(v, rel=0.02)
 
 
-@given(v=st.floats(2.0, 20.0), kappa=st.floats(-0.05, 0.05))
+@given(v=st.floats(2.0, 12.0), kappa=st.floats(-0.05, 0.05))
 def test_curvature_is_that_of_the_path(v: float, kappa: float) -> None:
     def pose(t: float) -> tuple[float, float]:
         if abs(kappa) < 1e-6:

@@ -16,6 +16,7 @@ import numpy as np
 
 from replan.core.names import ShortNames
 from replan.logs.agents import ObjectClass
+from replan.logs.driving import DrivingModes
 from replan.logs.observed import Spans, inferred
 from replan.logs.repair.detections import Detections, Repair
 from replan.logs.road import Goal, Road
@@ -96,6 +97,7 @@ class Scenario:
         references: What reference drivers do in it; the replay adds them, no log holds them.
         before: States of the ego before its first one in `ego`, for the past of planners; None if
             the log has none.
+        driving: Who drove the recorded car over time; None if the log does not say it.
         object_classes: What the objects among the tracks are (cone, barrier, sign), by id, where
             the log says it.
 
@@ -126,6 +128,7 @@ class Scenario:
     repair: Repair | None = None
     references: References = field(default_factory=References)
     before: Trajectory | None = None
+    driving: DrivingModes | None = None
     object_classes: Mapping[str, ObjectClass] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

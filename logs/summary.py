@@ -130,6 +130,11 @@ def _facts(scenario: Scenario) -> dict[str, Any]:
         "ego_span": (float(ego.t[0]), float(ego.t[-1])),
         "ego_rate": (len(ego) - 1) / span if span > 0.0 else float("nan"),
         "ego_speed": (float(ego.v.min()), float(ego.v.max())),
+        "driving": (
+            f"{scenario.driving.described(*ego.t[[0, -1]])} ({scenario.driving.source})"
+            if scenario.driving is not None
+            else ""
+        ),
         "agents": dict(kinds.most_common()),
         "obstacles": int(tracks.static.sum()),
         "road": {
@@ -174,6 +179,7 @@ def _describe_facts(found: dict[str, Any]) -> list[str]:
         f"duration: {found['duration']:.2f} s",
         "origin: {:.12g}, {:.12g} m, subtracted from all positions".format(*found["origin"]),
         f"ego: {ego}",
+        *([f"driven: {found['driving']}"] if found["driving"] else []),
         f"agents: {agents or 'none'}; obstacles: {found['obstacles']}; recorded "
         f"{described(found['traffic'])} of {found['duration']:.1f} s",
         f"road: {counted(road['lanes'], 'lane')} ({road['drivable']} drivable), "

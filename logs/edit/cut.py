@@ -87,6 +87,7 @@ def cut(scenario: Scenario, begin: float, end: float = inf) -> Scenario:
         pedals = controls.throttle[keep], controls.brake[keep]
         shifted = Controls(controls.t[keep] - begin, controls.steer[keep], *pedals)
         controls = shifted if keep.any() else None
+    driving = scenario.driving and scenario.driving.between(begin - HISTORY_S, end)
     # The newest plan at the begin
     newest = max(sum(plan.known <= begin for plan in scenario.onboard) - 1, 0)
     onboard = []
@@ -117,6 +118,7 @@ def cut(scenario: Scenario, begin: float, end: float = inf) -> Scenario:
         name=f"{scenario.name}@{begin:g}",
         ego=driven,
         before=before,
+        driving=driving and driving.shifted(-begin),
         road=road,
         tracks=tracks,
         duration=min(end, scenario.duration) - begin,

@@ -5,12 +5,14 @@
                                          from world coordinates: all coordinates are relative to it); where known
                                          traffic_s: when the others were observed, [[from, to], ...], s since start_ns
                                          (without it, a log with an empty message on /agents: while these come);
+                                         driving_source and driving_latency_s: of the topic /driving;
                                          object_classes: {id: "cone", "barrier" or "sign"} of objects among the others
               replan.scenario.metadata   other facts about the log, free keys (generator, parameters, seed)
               replan.trace               only in a trace: planner, mode, oracle, end, detail
 
     /ego             Ego           one state a message: required, the rest is optional
     /ego/before      Ego           its states before start_ns, which planners see as its past
+    /driving         Driving       who drives from then on, one message a change; its source is in the metadata
     /controls        Controls      logged steering and pedals, one sample a message
     /agents/table    AgentTable    once: who the others are
     /agents          AgentColumns  where they are: a message holds all those sampled at its log time
@@ -47,6 +49,7 @@ from typing import Any, Literal, get_type_hints
 import msgspec
 
 from replan.logs.agents import AgentKind
+from replan.logs.driving import DrivingMode
 from replan.logs.mcap.field_names import serialised
 from replan.logs.mcap.plan_messages import Numbers, OnboardPlan, Plan, Predictions
 from replan.logs.rules import Colour
@@ -81,6 +84,12 @@ class Controls(msgspec.Struct, rename=serialised):
     steer: float | None = None
     throttle: float | None = None
     brake: float | None = None
+
+
+class Driving(msgspec.Struct):
+    """Who drives the recorded car from the log time on."""
+
+    mode: DrivingMode
 
 
 class AgentTable(msgspec.Struct, rename=serialised):
@@ -308,6 +317,7 @@ TOPICS: dict[str, type[msgspec.Struct]] = {
     "/removed": AgentColumns,
     "/ego": Ego,
     "/ego/before": Ego,
+    "/driving": Driving,
     "/controls": Controls,
     "/onboard": OnboardPlan,
     "/perceived/table": AgentTable,

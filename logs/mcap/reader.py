@@ -22,6 +22,7 @@ from replan.logs import road as nouns
 from replan.logs.agents import ObjectClass, codes_of
 from replan.logs.codec import noun_of
 from replan.logs.complete import completed, road_along
+from replan.logs.driving import DrivingModes
 from replan.logs.mcap import native, osi, plan_messages
 from replan.logs.mcap.container import (
     CONVERT,
@@ -169,6 +170,7 @@ def _native(container: Container) -> Scenario:
             traffic=traffic,
             detections=detections,
             repair=repair,
+            driving=_driving(streams.get("/driving"), record, start_ns),
             object_classes=_from_record(record, "object_classes", dict[str, ObjectClass], {}),
         )
 
@@ -421,6 +423,16 @@ def _onboard(stream: Stream | None, start_ns: int) -> tuple[OnboardPlan, ...]:
         with reading(topic=stream.topic, time_ns=time, remedy=MEND):
             plans.append(noun_of(OnboardPlan, message, known=known_at))
     return tuple(plans)
+
+
+def _driving(stream: Stream | None, record: dict[str, str], start_ns: int) -> DrivingModes | None:
+    if stream is None:
+        return None
+    stream.check_order(strictly=True)
+    modes = [message.mode for message in stream.decoded(native.Driving)]
+    latency_s = _from_record(record, "driving_latency_s", float, 0.0)
+    source = record.get("driving_source", "")
+    return DrivingModes.of_samples(seconds(stream.times, start_ns), modes, source, latency_s)
 
 
 def _goal(message: native.Goal | None) -> nouns.Goal | None:

@@ -170,6 +170,9 @@ def scenario_records(
     }
     if scenario.traffic is not None:
         record["traffic_s"] = encode(scenario.traffic).decode()
+    if scenario.driving is not None:
+        record["driving_source"] = scenario.driving.source
+        record["driving_latency_s"] = repr(check_finite(scenario.driving.latency_s, "latency"))
     if scenario.object_classes:
         record["object_classes"] = encode(scenario.object_classes).decode()
     free = dict(scenario.metadata)
@@ -234,6 +237,11 @@ def scenario_entries(scenario: Scenario, *, blocks: bool = False) -> Iterator[En
     yield from samples(scenario.ego, native.Ego, "/ego", start, blocks=blocks)
     if scenario.before is not None:
         yield from samples(scenario.before, native.Ego, "/ego/before", start, blocks=blocks)
+    if scenario.driving is not None:
+        modes = scenario.driving
+        times = log_times(modes.t, start, "/driving")
+        for time, mode in zip(times, modes.modes, strict=True):
+            yield time, "/driving", native.Driving(mode)
     if scenario.controls is not None:
         yield from samples(scenario.controls, native.Controls, "/controls", start, blocks=blocks)
     times = log_times(np.array([plan.known for plan in scenario.onboard]), start, "/onboard")

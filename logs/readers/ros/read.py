@@ -6,16 +6,18 @@ from pathlib import Path
 
 import numpy as np
 
+from replan.core.arrays import FloatArray, IntArray
 from replan.core.errors import LogError
 from replan.logs.complete import road_along
 from replan.logs.log_settings import LogSettings
 from replan.logs.readers.ros import schemas
 from replan.logs.readers.ros.bag import Bag, opened
+from replan.logs.readers.ros.bag_driving import read_driving
 from replan.logs.readers.ros.bag_goal import read_goal
 from replan.logs.readers.ros.bag_lights import read_lights
 from replan.logs.readers.ros.bag_tracks import read_tracks
 from replan.logs.readers.ros.ego import EgoLog
-from replan.logs.readers.ros.ego_motion import begin_of, logged_motion, signal, states
+from replan.logs.readers.ros.ego_motion import Signal, begin_of, logged_motion, signal, states
 from replan.logs.readers.ros.onboard_plans import read_onboard_plans
 from replan.logs.readers.ros.part import BagPart
 from replan.logs.readers.ros.part_to_read import Start, part_to_read
@@ -34,6 +36,8 @@ ROLES = {
         "steering",
         "plan",
         "alternatives",
+        "driver",
+        "pedals",
     ),
     "frames": ("map", "base"),
 }
@@ -94,6 +98,7 @@ def _scenario(path: Path, bag: Bag, settings: LogSettings) -> Scenario:
     controls = _controls(part, ego, t0)
     lights = read_lights(part, ego, t0)
     onboard = read_onboard_plans(part, ego, t0, origin)
+    driving = read_driving(part, ego, t0)
     return Scenario(
         name=path.stem if path.is_file() else path.name,
         ego=trajectory,
@@ -110,6 +115,7 @@ def _scenario(path: Path, bag: Bag, settings: LogSettings) -> Scenario:
         notes=tuple(dict.fromkeys([*about_car, *notes])),
         lights=lights,
         onboard=onboard,
+        driving=driving,
         traffic=traffic,
         detections=detections,
     )
@@ -128,14 +134,30 @@ def _start_at(part: BagPart, ego: EgoLog, first: int) -> Start:
 
 
 def _controls(part: BagPart, ego: EgoLog, t0: int) -> Controls | None:
-    """Read the front wheel angle: the measured one, else the commanded one."""
+    """Read the front wheel angle, the measured one, else the commanded one, and the pedals."""
     angle = signal(part, schemas.STEERING, "steering", ego)
     word = "measured"
     if angle is None and "steering" not in part.settings.topics:
         angle = signal(part, schemas.COMMANDED_STEERING, "steering", ego)
         word = "commanded"
-    if angle is None:
+    pedals = [
+        signal(part, {kind: names[n] for kind, names in schemas.PEDALS.items()}, "pedals", ego)
+        for n in range(2)
+    ]
+    first = next((source for source in (angle, *pedals) if source is not None), None)
+    if first is None:
         return None
-    part.notes.append(f"The front wheel angle is that of {angle.topic}, {word}.")
-    nan = np.full(len(angle.t), np.nan)
-    return Controls((angle.t - t0) / 1e9, angle.values, nan, nan)
+    if angle is not None:
+        part.notes.append(f"The front wheel angle is that of {angle.topic}, {word}.")
+    if pedals[0] is not None:
+        part.notes.append(f"The pedals are those of {pedals[0].topic}.")
+    columns = (_held(source, first.t) for source in (angle, *pedals))
+    return Controls((first.t - t0) / 1e9, *columns)
+
+
+def _held(source: Signal | None, t: IntArray) -> FloatArray:
+    """The last value of a signal at times `(n,)`, ns; NaN before the first, and without one."""
+    if source is None:
+        return np.full(len(t), np.nan)
+    last = np.searchsorted(source.t, t, side="right") - 1
+    return np.where(last >= 0, source.values[np.maximum(last, 0)], np.nan)

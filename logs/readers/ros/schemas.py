@@ -7,9 +7,12 @@ users write them.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from replan.logs.agents import AgentKind
+from replan.logs.driving import DrivingMode
 from replan.logs.rules import Colour
 
 STAMP = ("header.stamp.sec", "header.stamp.nanosec")
@@ -162,6 +165,74 @@ GOALS = {
 }
 PLANS = ("autoware_planning_msgs/msg/Trajectory", "autoware_auto_planning_msgs/msg/Trajectory")
 CLOCK = "rosgraph_msgs/msg/Clock"
+
+
+@dataclass(frozen=True)
+class ModeSchema:
+    """How a message type says who drives.
+
+    Attributes:
+        fields: The fields that say it.
+        modes: The mode by the values of these fields; of other values it is `otherwise`.
+        otherwise: The mode of values that are not listed.
+        is_latched: Whether the topic is written at changes only; its last value holds.
+        names: Ends of the names of topics that are meant, of a type that is used for other things.
+    """
+
+    fields: tuple[str, ...]
+    modes: Mapping[Any, DrivingMode]
+    otherwise: DrivingMode = DrivingMode.UNKNOWN
+    is_latched: bool = False
+    names: tuple[str, ...] = ()
+
+    def mode(self, values: tuple[object, ...]) -> DrivingMode:
+        """The mode of a message with these values."""
+        return self.modes.get(values, self.otherwise)
+
+
+_CONTROL_MODE = ModeSchema(
+    ("mode",),
+    {
+        (1,): DrivingMode.AUTONOMOUS,
+        (2,): DrivingMode.STEERED,
+        (3,): DrivingMode.PACED,
+        (4,): DrivingMode.MANUAL,
+        (5,): DrivingMode.GIVEN_UP,
+    },
+)
+_BY_WIRE = {(True,): DrivingMode.AUTONOMOUS, (False,): DrivingMode.MANUAL}
+MODES = {
+    "autoware_vehicle_msgs/msg/ControlModeReport": _CONTROL_MODE,
+    "autoware_auto_vehicle_msgs/msg/ControlModeReport": _CONTROL_MODE,
+    "autoware_msgs/msg/VehicleStatus": ModeSchema(
+        ("drivemode", "steeringmode"),
+        {
+            (1, 1): DrivingMode.AUTONOMOUS,
+            (0, 1): DrivingMode.STEERED,
+            (1, 0): DrivingMode.PACED,
+            (0, 0): DrivingMode.MANUAL,
+        },
+    ),
+    "pacmod3_msgs/msg/GlobalRpt": ModeSchema(("enabled",), _BY_WIRE),
+    "pacmod_msgs/msg/GlobalRpt": ModeSchema(("enabled",), _BY_WIRE),
+    "std_msgs/msg/Bool": ModeSchema(
+        ("data",), _BY_WIRE, is_latched=True, names=("/dbw_enabled", "/pacmod/enabled")
+    ),
+    "autoware_adapi_v1_msgs/msg/OperationModeState": ModeSchema(
+        ("is_autoware_control_enabled", "mode"),
+        {
+            **{(True, mode): DrivingMode.UNKNOWN for mode in (0, 3, 4)},
+            **{(True, mode): DrivingMode.AUTONOMOUS for mode in (1, 2)},
+        },
+        otherwise=DrivingMode.MANUAL,
+        is_latched=True,
+    ),
+}
+"""Types of messages that say who drives; a type before another says more."""
+PEDALS = {
+    "tier4_vehicle_msgs/msg/ActuationStatusStamped": ("status.accel_status", "status.brake_status"),
+}
+"""Fields of the accelerator's and the brake's positions, 0 to 1."""
 
 
 @dataclass(frozen=True)

@@ -78,6 +78,7 @@ def write_recording(
     curves += stage_panel(drive.timings, path_parts(timing.stage for timing in drive.timings))
     names = ("why", "numbers", "recent", "summary") if trace.frames else ("recent", "summary")
     lanes = plots.state_lanes(trace, scenario.road)
+    lanes += plots.driver_lanes(scenario.driving, *map(float, trace.ego.t[[0, -1]]))
     contents = RecordingContents(
         curves, list(axes.values()), [lane.name for lane in lanes], names, _bounds(trace, scenario)
     )
@@ -158,6 +159,7 @@ def write_log_recording(path: Path, scenario: Scenario, markers: Sequence[Marker
     times = scene_times(trace, scenario.duration)
     curves = panels(trace, scenario, steps_of(None))
     lanes = plots.marker_lanes(markers, float(times[-1]))
+    lanes += plots.driver_lanes(scenario.driving, *map(float, times[[0, -1]]))
     names = ("recent", "summary") if lanes else ("summary",)
     contents = RecordingContents(
         curves, (), [lane.name for lane in lanes], names, _bounds(trace, scenario)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from replan.core.arrays import FloatArray
 from replan.logs.agents import AgentKind
+from replan.logs.driving import DrivingMode
 from replan.logs.plan import DecisionKind, PlanStatus
 
 PackedArray = NDArray[np.uint32]
@@ -70,6 +71,15 @@ STATUSES = {
     PlanStatus.COMFORTABLE_STOP: 0xD2691EFF,
     PlanStatus.HARD_STOP: 0xC83232FF,
     PlanStatus.REFUSED: 0x8C32C8FF,
+}
+
+DRIVERS = {
+    DrivingMode.AUTONOMOUS: 0x3C8C50FF,
+    DrivingMode.MANUAL: 0xC8961EFF,
+    DrivingMode.STEERED: 0x5A8CA0FF,
+    DrivingMode.PACED: 0x6478B4FF,
+    DrivingMode.GIVEN_UP: 0xC83232FF,
+    DrivingMode.UNKNOWN: 0x5A6478FF,
 }
 
 _RAMP_AT = np.array([0.0, 0.35, 0.65, 1.0])

@@ -44,6 +44,7 @@ from replan.explain.explanation import (
     longitudinal,
     taken_option,
 )
+from replan.logs.driving import DrivingModes
 from replan.logs.plan import Decision, DecisionKind
 from replan.logs.road import Road, RoadSource
 from replan.logs.trace import PlannedFrame, Trace
@@ -129,7 +130,8 @@ def with_two_numbers(low: float, high: float) -> tuple[float, float]:
 
 PLAN, LANE, DRIVE = "Plan", "Lane", "Drive"
 ALONG, ACROSS, CHOICE = "Decision-along", "Decision-across", "Choice-of-lane"
-LANES = (PLAN, ALONG, ACROSS, CHOICE, LANE, DRIVE)
+DRIVER = "Driver-of-the-log"
+LANES = (PLAN, ALONG, ACROSS, CHOICE, LANE, DRIVER, DRIVE)
 """Entities of the rows, at the root: the viewer labels a row with the whole path of its entity."""
 NAMED = (0x5A6478FF, 0x46505FFF)  # Alternating colours of states that are not in `STATE_COLOURS`
 OFF_LANES, NOTHING = "off the lanes", "none"
@@ -149,6 +151,7 @@ STATE_COLOURS = {
     OFF_LANES: 0xC83232FF,
     NOTHING: 0x2A2E36FF,
     **{STATUS_WORDS[status]: colour for status, colour in colours.STATUSES.items()},
+    **{mode.value: colour for mode, colour in colours.DRIVERS.items()},
 }
 
 
@@ -188,6 +191,15 @@ def state_lanes(trace: Trace, road: Road) -> list[StateRow]:
     return [lane for lane in lanes if lane.t] + [
         StateRow.of(DRIVE, [first, last], ["driving", trace.end.value])
     ]
+
+
+def driver_lanes(driving: DrivingModes | None, begin: float, end: float) -> list[StateRow]:
+    """A row of who drove the recorded car between two times, s, if the log says it."""
+    if driving is None or not begin < end:
+        return []
+    spans = driving.spans(begin, end)
+    times, modes = [first for first, *_ in spans], [mode.value for *_, mode in spans]
+    return [StateRow.of(DRIVER, [*times, end], [*modes, modes[-1]])]
 
 
 def marker_lanes(markers: Sequence[Marker], end: float) -> list[StateRow]:

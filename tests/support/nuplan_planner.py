@@ -16,9 +16,10 @@ ENTRIES, STEP_US = 22, 100_000
 
 
 class GoesStraight(AbstractPlanner):
-    """Drives straight on at its speed; `aside`: its first pose is that far to the left of the ego,
-    m; `fails`: the call in which it raises; `tires`: the share of its speed that it loses with each
-    plan, which it remembers.
+    """Drives straight on at its speed; `aside`: along a line that is that far to the left of where
+    the ego was first, m, and begins at the ego's projection on it, as PDM does; `fails`: the call
+    in which it raises; `tires`: the share of its speed that it loses with each plan, which it
+    remembers.
     """
 
     def __init__(self, aside: float = 0.0, fails: str = "", tires: float = 0.0) -> None:
@@ -26,6 +27,7 @@ class GoesStraight(AbstractPlanner):
             raise ValueError("no such size of a network")
         self._aside, self._fails, self._tires = aside, fails, tires
         self._share = 1.0
+        self._first: StateSE2 | None = None
 
     def name(self) -> str:
         return "goes straight"
@@ -64,11 +66,15 @@ class GoesStraight(AbstractPlanner):
         return InterpolatedTrajectory([self._state(ego, k) for k in range(81)])
 
     def _state(self, ego: EgoState, k: int) -> EgoState:
-        speed, left = self._share * ego.dynamic_car_state.speed, self._aside if k == 0 else 0.0
-        way = speed * 0.1 * k
-        heading = ego.rear_axle.heading
-        x = ego.rear_axle.x + way * cos(heading) - left * sin(heading)
-        y = ego.rear_axle.y + way * sin(heading) + left * cos(heading)
+        way = self._share * ego.dynamic_car_state.speed * 0.1 * k
+        axle = ego.rear_axle
+        self._first = self._first or axle
+        heading = self._first.heading if self._aside else axle.heading
+        dx, dy = axle.x - self._first.x, axle.y - self._first.y
+        gone = cos(heading) * dy - sin(heading) * dx
+        left = self._aside - gone if self._aside else 0.0
+        x = axle.x + way * cos(heading) - left * sin(heading)
+        y = axle.y + way * sin(heading) + left * cos(heading)
         return EgoState.build_from_rear_axle(
             StateSE2(x, y, heading),
             StateVector2D(0.0, 0.0),

@@ -45,7 +45,7 @@ STEEPEST = 1.0
 """Largest tan psi."""
 LEAST_STEP_S = 1e-3
 BACKWARD, LEAST_BACK_M = 0.7, 0.001
-"""A step goes backward if this share of its length, and a bit, leads against the heading."""
+"""A way goes backward if this share of its length, and a bit, leads against the heading."""
 STEP_S = 0.1
 """Step of a plan."""
 COMPLETE_S = 3.0
@@ -63,15 +63,16 @@ def plan_message(trajectory: Any, frame: Message, converter: Converter) -> Messa
     """The message of a trajectory that starts at a frame; ValueError if it has no later pose."""
     states = trajectory.get_sampled_trajectory()
     places = np.array([[state.rear_axle.x, state.rear_axle.y] for state in states])
-    headings = np.array([state.rear_axle.heading for state in states])
     times = np.array([converter.seconds(state.time_point) for state in states]) - frame["t"]
     rises = np.r_[True, np.diff(np.maximum.accumulate(times)) > LEAST_STEP_S]
     if times[rises][-1] < STEP_S:
         raise ValueError("the trajectory has no pose after the frame's time")
-    places, backward = _stands_before_backing(times, places, headings)
     t = np.arange(0.0, times[rises][-1] + 0.5 * STEP_S, STEP_S)
     x, y = (_smooth(np.interp(t, times[rises], column[rises])) for column in places.T)
     ego = frame["ego"]
+    backward = _backward(t, x, y, states[0].rear_axle.heading)
+    if backward > 0.0:
+        x, y = np.full(len(t), x[0]), np.full(len(t), y[0])
     x, y = _from_ego(t, x, y, ego)
     x, y, v = _from_speed(t, x, y, ego, backward)
     yaw, kappa = _bends(x, y, ego["yaw"])
@@ -119,20 +120,15 @@ def _from_ego(t: Floats, x: Floats, y: Floats, ego: Message) -> tuple[Floats, Fl
     )
 
 
-def _stands_before_backing(times: Floats, places: Floats, headings: Floats) -> tuple[Floats, float]:
-    """The positions `(n, 2)` until they first go backward, and there from then on; and the speed
-    at which they do within `AHEAD_S`, m/s, else 0.
+def _backward(t: Floats, x: Floats, y: Floats, heading: float) -> float:
+    """The speed at which a trajectory goes backward from its first pose within `AHEAD_S`, m/s; 0 if
+    it does not.
     """
-    steps = np.diff(places, axis=0)
-    ahead = steps[:, 0] * np.cos(headings[:-1]) + steps[:, 1] * np.sin(headings[:-1])
-    backs = ahead < -BACKWARD * np.hypot(*steps.T) - LEAST_BACK_M
-    if not backs.any():
-        return places, 0.0
-    first = int(np.argmax(backs))
-    speed = -float(ahead[first]) / max(times[first + 1] - times[first], LEAST_STEP_S)
-    return places[np.minimum(np.arange(len(places)), first)], speed if times[
-        first
-    ] < AHEAD_S else 0.0
+    k = min(round(AHEAD_S / STEP_S), len(t) - 1)
+    dx, dy = x[k] - x[0], y[k] - y[0]
+    ahead = dx * np.cos(heading) + dy * np.sin(heading)
+    is_backward = ahead < -BACKWARD * np.hypot(dx, dy) - LEAST_BACK_M
+    return -float(ahead) / float(t[k]) if is_backward else 0.0
 
 
 def _from_speed(

@@ -13,7 +13,7 @@ the stack's where its mode says that it has given up; else the driver's.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from itertools import pairwise
@@ -21,6 +21,7 @@ from itertools import pairwise
 import numpy as np
 
 from replan.core.arrays import FloatArray, IntArray, frozen
+from replan.core.errors import LogError
 from replan.logs.states import Controls, Trajectory
 
 LASTS_S = 0.5
@@ -58,6 +59,42 @@ _AXES = {
     DrivingMode.STEERED: frozenset(("lateral",)),
     DrivingMode.PACED: frozenset(("longitudinal",)),
 }
+
+
+NAMES = {
+    "autonomous": DrivingMode.AUTONOMOUS,
+    "manual": DrivingMode.MANUAL,
+    "steering": DrivingMode.STEERED,
+    "speed": DrivingMode.PACED,
+    "given up": DrivingMode.GIVEN_UP,
+    "unknown": DrivingMode.UNKNOWN,
+}
+"""The modes by the names that settings have for them."""
+WORDS = NAMES | {
+    **dict.fromkeys(("auto", "1", "true", "engaged"), DrivingMode.AUTONOMOUS),
+    **dict.fromkeys(("0", "false", "human", "driver"), DrivingMode.MANUAL),
+    "": DrivingMode.UNKNOWN,
+}
+"""The modes by words of logs."""
+
+
+def modes_of_words(words: Sequence[str], given: Mapping[str, str]) -> list[DrivingMode]:
+    """Return the mode of each word of a log; `given` are the user's names of modes by word.
+
+    Raises:
+        LogError: A word is not known; all that are not are named.
+    """
+    known = WORDS | {word.lower(): NAMES[name] for word, name in given.items()}
+    texts = [word.strip().lower().removesuffix(".0") for word in words]
+    unknown = sorted(set(texts) - set(known))
+    if unknown:
+        example = ", ".join(f'"{word}" = "manual"' for word in unknown[:6])
+        raise LogError(
+            f"who drives is {', '.join(map(repr, unknown[:6]))}",
+            topic="driver",
+            remedy=f"name the mode in [log]: driver = {{{example}}}; modes: {', '.join(NAMES)}",
+        )
+    return [known[text] for text in texts]
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -8,6 +8,7 @@ from math import inf, pi
 
 from replan.core.errors import LogError
 from replan.logs.agents import AgentKind
+from replan.logs.driving import NAMES as DRIVERS
 from replan.logs.vehicle import VehicleParameters, assumed_car
 
 SIZES = ("length", "width", "wheelbase", "rear_overhang")
@@ -49,6 +50,10 @@ CHOICES: Mapping[str, Iterable[str]] = {
     "agents_axes": AXES,
 }
 """Values of the settings that choose a convention; "" leaves the choice to replan."""
+
+
+FIELD = "field"
+"""Key of `driver` that names a field."""
 
 
 @dataclass(frozen=True)
@@ -120,6 +125,10 @@ class LogSettings:
     """
     kinds: Mapping[str, str] = field(default_factory=dict)
     """replan's kind by the log's word for it ("Tram": "bus"), for words that are not known."""
+    driver: Mapping[str, str] = field(default_factory=dict)
+    """Who drives (`replan.logs.driving.NAMES`) by the value of a column or of a topic ("2":
+    "autonomous"), for values that are not known; "field": the field of the topic's messages.
+    """
     clock_ahead_s: float = inf
     """Time by which the agents' clock is ahead of the ego's, s; inf: found by the times
     (`replan.logs.clock_offset`).
@@ -141,6 +150,10 @@ class LogSettings:
         if unknown:
             known_kinds = ", ".join(kind.value for kind in AgentKind)
             raise ValueError(f"kinds has {min(unknown)!r}: known are {known_kinds}")
+        modes = {mode for value, mode in self.driver.items() if value != FIELD}
+        if not modes <= set(DRIVERS):
+            refused = min(modes - set(DRIVERS))
+            raise ValueError(f"driver has {refused!r}: known are {', '.join(DRIVERS)}")
         if self.repair not in ("auto", "on", "off"):
             raise ValueError(f"repair is {self.repair!r}: auto, on or off")
         if not set(self.car) <= set(SIZES):

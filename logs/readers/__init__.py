@@ -72,6 +72,7 @@ CHOICES = (
     "agents_heading",
     "ego_axes",
     "kinds",
+    "driver",
 )
 """Settings that are refused if the format has no choice of them."""
 LONGEST_S = 7 * 86400.0

@@ -85,6 +85,7 @@ COLUMNS = (
     "steer",
     "throttle",
     "brake",
+    "driver",
     "id",
     "vx",
     "vy",

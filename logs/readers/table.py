@@ -32,6 +32,7 @@ from replan.core.errors import LogError, reading
 from replan.core.files import beside
 from replan.logs.agents import USUAL_SIZE_M
 from replan.logs.complete import completed, road_along
+from replan.logs.driving import DrivingModes, modes_of_words
 from replan.logs.heights import on_the_way
 from replan.logs.kind_words import kinds_of_tracks
 from replan.logs.log_settings import LogSettings
@@ -49,6 +50,10 @@ from replan.logs.vehicle import VEHICLE_ASSUMED, VehicleParameters
 
 MOVED_M = 0.2
 """Way over which a heading is derived, m."""
+
+
+CONVENTIONS = ("ego_point", "agents_point", "ego_heading", "agents_heading")
+"""The settings of points and headings."""
 
 
 def from_frames(
@@ -69,14 +74,15 @@ def from_frames(
     ego_heading: str = "",
     agents_heading: str = "",
     kinds: Mapping[str, str] | None = None,
+    driver: Mapping[str, str] | None = None,
 ) -> Scenario:
     """Make a scenario from tables of the ego and of the other road users (units and frames:
     docs/logs.md).
 
     Args:
         ego: One row per state, in any order: t (a column, or the index), x, y, yaw; where known v,
-            a, kappa, steer, throttle, brake. Or the id of the agent that becomes the ego: it is
-            taken out of `agents`, whose columns may be those of a data set.
+            a, kappa, steer, throttle, brake, driver (who drives). Or the id of the agent that
+            becomes the ego: it is taken out of `agents`, whose columns may be those of a data set.
         agents: One row per agent and time: t, id, x, y; where known yaw, vx, vy or v, length,
             width, kind. None: there are no other road users.
         name: Name of the scenario, short and unique within a run.
@@ -99,6 +105,8 @@ def from_frames(
             `replan.logs.log_settings.HEADINGS`); "": rad, counter-clockwise from x.
         agents_heading: The same of the agents.
         kinds: replan's kind by the table's word for it, for words that replan does not know.
+        driver: Who drives ("autonomous", "manual", "steering", "speed") by the words or numbers of
+            the ego's column `driver`, for those that replan does not know.
 
     Raises:
         LogError: A column is missing or not numeric, a unit or kind is unknown, a value is not
@@ -114,6 +122,7 @@ def from_frames(
             ego_heading=ego_heading,
             agents_heading=agents_heading,
             kinds=kinds or {},
+            driver=driver or {},
         )
     agents = None if agents is None else with_index(agents, "agents", settings.columns)
     if not isinstance(ego, pd.DataFrame):
@@ -192,7 +201,20 @@ def from_frames(
             metadata={EGO_POSE: CENTRE} if settings.ego_point == "centre" else {},
             notes=tuple(notes),
             traffic=traffic,
+            driving=_driving(table, t, order, settings),
         )
+
+
+def _driving(
+    table: NamedColumns, t: FloatArray, order: Any, settings: LogSettings
+) -> DrivingModes | None:
+    """Return who drives, of the column `driver` in the ego's table."""
+    if not table.has("driver"):
+        return None
+    modes = modes_of_words(track_table.words_of(table, "driver")[order].tolist(), settings.driver)
+    latency_s = float(np.median(np.diff(t))) if len(t) > 1 else 0.0
+    source = f"the column {table.column('driver')[0].name}"
+    return DrivingModes.of_samples(t, modes, source, latency_s)
 
 
 def _ahead_of_axle(car: VehicleParameters) -> dict[str, float]:
@@ -346,7 +368,14 @@ def _read(path: Path, settings: LogSettings) -> Scenario:
     vehicle = settings.vehicle(notes)
     conventions = {
         name: getattr(settings, name)
-        for name in ("ego_point", "agents_point", "ego_heading", "agents_heading", "kinds")
+        for name in (
+            "ego_point",
+            "agents_point",
+            "ego_heading",
+            "agents_heading",
+            "kinds",
+            "driver",
+        )
     }
     columns, name = settings.columns, path.name
     table: pd.DataFrame | str
@@ -405,11 +434,9 @@ READER = Reader(
     contents=_contents,
     settings=(
         "ego",
-        "ego_point",
-        "agents_point",
-        "ego_heading",
-        "agents_heading",
+        *CONVENTIONS,
         "kinds",
+        "driver",
         "columns",
         "car",
     ),

@@ -319,11 +319,11 @@ def _texts(column: pd.Series[Any]) -> Any:
     )
 
 
-def words_of(table: NamedColumns) -> Any:
-    """Return the word for the kind of each row `(n,)`; "" where it is empty."""
-    if not table.has("kind"):
+def words_of(table: NamedColumns, name: str = "kind") -> Any:
+    """Return the word of each row `(n,)` in a column of words; "" where it is empty."""
+    if not table.has(name):
         return np.full(len(table.frame), "")
-    column = table.column("kind")[0]
+    column = table.column(name)[0]
     return np.where(column.isna().to_numpy(), "", _texts(column))
 
 

@@ -5,11 +5,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from differences import differences
 from drives import along, grid, world
 from hypothesis import given, strategies as st
 
+from replan.core.errors import LogError
 from replan.logs.driving import (
     LASTS_S,
     DrivingMode,
@@ -21,6 +23,7 @@ from replan.logs.driving import (
 )
 from replan.logs.edit.cut import cut
 from replan.logs.mcap import read_scenario, write_scenario
+from replan.logs.readers.table import from_frames
 from replan.logs.states import Controls, Trajectory
 
 AUTO, MANUAL, STEERED, PACED, GIVEN_UP, UNKNOWN = DrivingMode
@@ -150,3 +153,30 @@ def test_a_written_log_keeps_who_drives(tmp_path: Path) -> None:
     part = cut(log, 1.2).driving
     assert part is not None
     assert [part.at(t) for t in (0.0, 0.5, 1.0)] == [UNKNOWN, PACED, MANUAL]
+
+
+def table(words: Sequence[object]) -> pd.DataFrame:
+    t = 0.1 * np.arange(len(words))
+    return pd.DataFrame({"t": t, "x": 5.0 * t, "y": 0.0 * t, "yaw": 0.0 * t, "driver": words})
+
+
+@pytest.mark.parametrize(
+    ("words", "driver"),
+    [
+        (["auto"] * 6 + ["manual"] * 9, {}),
+        ([1] * 6 + [0] * 9, {}),
+        ([True] * 6 + [False] * 9, {}),
+        (["pilot"] * 6 + ["Eve"] * 9, {"pilot": "autonomous", "Eve": "manual"}),
+    ],
+)
+def test_a_column_of_a_table_says_who_drives(words: list[object], driver: dict[str, str]) -> None:
+    driving = from_frames(table(words), driver=driver).driving
+    assert driving is not None and driving.modes == (AUTO, MANUAL)
+    assert driving.t.tolist() == pytest.approx([0.0, 0.6])
+    assert driving.latency_s == pytest.approx(0.1)
+
+
+def test_words_that_are_not_known_are_named_with_the_remedy() -> None:
+    with pytest.raises(LogError, match="who drives is 'eve'") as refused:
+        from_frames(table(["auto"] * 6 + ["Eve"] * 9))
+    assert "driver = {" in str(refused.value)

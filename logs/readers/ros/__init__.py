@@ -74,6 +74,6 @@ READER = Reader(
     bag_files,
     _span,
     _contents,
-    ("topics", "frames", "clock", "car", "ego_axes"),
+    ("topics", "frames", "clock", "car", "ego_axes", "driver"),
     cuts=True,
 )

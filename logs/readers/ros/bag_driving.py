@@ -4,30 +4,37 @@ status, and the reports of drive-by-wire systems.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from replan.core.arrays import IntArray
-from replan.logs.driving import DrivingMode, DrivingModes
+from replan.logs.driving import DrivingMode, DrivingModes, modes_of_words
+from replan.logs.log_settings import FIELD
 from replan.logs.readers.ros import schemas
 from replan.logs.readers.ros.bag import Topic
 from replan.logs.readers.ros.ego import EgoLog
 from replan.logs.readers.ros.frames import times_of
 from replan.logs.readers.ros.part import BagPart
-from replan.logs.readers.ros.schemas import STAMP
+from replan.logs.readers.ros.schemas import STAMP, ModeSchema
 
 LOST_PERIODS = 3.0
 """Of a topic that repeats its mode, the mode is unknown after so many periods without one."""
 
 
 def read_driving(part: BagPart, ego: EgoLog, t0: int) -> DrivingModes | None:
-    """Read who drives, from the topic that says most; None if no topic does."""
-    topics = [topic for topic in part.topics(schemas.MODES, "driver") if _is_meant(part, topic)]
-    rank = list(schemas.MODES)
-    topics.sort(key=lambda topic: rank.index(topic.kind))
+    """Read who drives, from the topic that says most, or that of the settings; None if no topic
+    does.
+
+    Raises:
+        LogError: The topic of the settings is not in the log, has no such field or a value that is
+            not known.
+    """
+    topics = _topics(part)
     if not topics:
         return None
     topic = topics[0]
-    schema = schemas.MODES[topic.kind]
+    schema = _schema(part, topic)
     stamps_of_types = (("stamp.sec", "stamp.nanosec"), STAMP)
     stamp = next((names for names in stamps_of_types if part.bag.has(topic, names[0])), ())
     log, rows = part.bag.read(topic, (*stamp, *schema.fields), part.begin, part.end)
@@ -35,12 +42,42 @@ def read_driving(part: BagPart, ego: EgoLog, t0: int) -> DrivingModes | None:
     t, keep = times_of(topic.name, log, stamps, ego.clock, part.notes)
     if not len(t):
         return None
-    modes = [schema.mode(rows[k][len(stamp) :]) for k in keep.tolist()]
+    values = [rows[k][len(stamp) :] for k in keep.tolist()]
+    if part.settings.driver:
+        words = [str(value) for (value,) in values]
+        modes = modes_of_words(words, _given(part))
+    else:
+        modes = list(map(schema.mode, values))
     period = 0.0 if schema.is_latched or len(t) < 2 else float(np.median(np.diff(t))) / 1e9
     times, known = (t, modes) if schema.is_latched else _with_gaps(t, modes, period)
     others = f" (of {len(topics)} such topics)" if len(topics) > 1 else ""
     part.notes.append(f"Who drives is what {topic.name} says{others}.")
     return DrivingModes.of_samples((times - t0) / 1e9, known, topic.name, period)
+
+
+def _topics(part: BagPart) -> list[Topic]:
+    """The topics that say who drives, that which says most first."""
+    name = part.settings.topics.get("driver", "")
+    if name and FIELD in part.settings.driver:  # of any type
+        kinds: Mapping[str, object] = {topic.kind: None for topic in part.bag.topics}
+        return part.topics(kinds, "driver")
+    rank = list(schemas.MODES)
+    topics = [topic for topic in part.topics(schemas.MODES, "driver") if _is_meant(part, topic)]
+    return sorted(topics, key=lambda topic: rank.index(topic.kind))
+
+
+def _schema(part: BagPart, topic: Topic) -> ModeSchema:
+    """How a topic says who drives; with settings for it, by the field that they name."""
+    known = schemas.MODES.get(topic.kind)
+    fields = part.settings.driver.get(FIELD) or (known.fields[0] if known else "data")
+    if not part.settings.driver and known is not None:
+        return known
+    return ModeSchema((fields,), {}, is_latched=known is not None and known.is_latched)
+
+
+def _given(part: BagPart) -> dict[str, str]:
+    """The modes by value, of the settings."""
+    return {value: mode for value, mode in part.settings.driver.items() if value != FIELD}
 
 
 def _is_meant(part: BagPart, topic: Topic) -> bool:

@@ -1,5 +1,6 @@
 """Who drives, as the bags of several stacks say it."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -93,11 +94,10 @@ def test_each_stack_says_who_drives(
 
 def changes(topic: str, kind: str, *spans: tuple[float, dict[str, Any]]) -> list[Row]:
     """A topic that is written at changes only."""
-    head = {} if kind == FLAG else {"stamp": stamp(START_NS)}
     rows = []
     for t, values in spans:
         ns = START_NS + round(1e9 * t)
-        head = {} if kind == FLAG else {"stamp": stamp(ns)}
+        head = {"stamp": stamp(ns)} if kind == OPERATION else {}
         rows.append((topic, kind, ns, message(kind, TYPES, **head, **values)))
     return rows
 
@@ -183,3 +183,22 @@ def test_the_drivers_pedal_begins_the_take_over(tmp_path: Path) -> None:
     events = pd.read_parquet(tmp_path / "mined" / "events.parquet").set_index("kind")
     assert events.loc["takeover", "what"] == "episode 1, brake"
     assert events.loc["takeover", "value"] == pytest.approx(SPEED, rel=0.01)
+
+
+def test_the_settings_name_the_field_and_the_values_of_any_topic(tmp_path: Path) -> None:
+    rows = changes("/stack/state", "std_msgs/msg/Int32", (0.1, {"data": 7}), (3.0, {"data": 2}))
+    modes = {"field": "data", "7": "autonomous", "2": "steering"}
+    settings = LogSettings(topics={"driver": "/stack/state"}, driver=modes)
+    driving = written(tmp_path, rows, settings).driving
+    assert driving is not None
+    assert [driving.at(t) for t in (1.0, 4.0)] == [AUTO, STEERED]
+    fewer = replace(settings, driver={"field": "data", "7": "autonomous"})
+    with pytest.raises(LogError, match="who drives is '2'"):
+        written(tmp_path / "fewer", rows, fewer)
+    with pytest.raises(LogError, match="has no field state"):
+        written(tmp_path / "wrong", rows, replace(settings, driver={"field": "state"}))
+
+
+def test_a_mode_that_does_not_exist_is_refused() -> None:
+    with pytest.raises(ValueError, match="driver has 'robot': known are autonomous, manual"):
+        LogSettings(driver={"7": "robot"})

@@ -71,8 +71,9 @@ def plan_message(trajectory: Any, frame: Message, converter: Converter) -> Messa
     x, y = (_smooth(np.interp(t, times[rises], column[rises])) for column in places.T)
     ego = frame["ego"]
     backward = _backward(t, x, y, states[0].rear_axle.heading)
-    if backward > 0.0:
-        x, y = np.full(len(t), x[0]), np.full(len(t), y[0])
+    headings = np.unwrap([state.rear_axle.heading for state in states])[rises]
+    last = _turning_point(x, y, np.interp(t, times[rises], headings))
+    x, y = (column[np.minimum(np.arange(len(t)), last)] for column in (x, y))
     x, y = _from_ego(t, x, y, ego)
     x, y, v = _from_speed(t, x, y, ego, backward)
     yaw, kappa = _bends(x, y, ego["yaw"])
@@ -129,6 +130,19 @@ def _backward(t: Floats, x: Floats, y: Floats, heading: float) -> float:
     ahead = dx * np.cos(heading) + dy * np.sin(heading)
     is_backward = ahead < -BACKWARD * np.hypot(dx, dy) - LEAST_BACK_M
     return -float(ahead) / float(t[k]) if is_backward else 0.0
+
+
+def _turning_point(x: Floats, y: Floats, headings: Floats) -> int:
+    """The last pose before a trajectory goes backward for `AHEAD_S`; the last of all, if it does
+    not.
+    """
+    count = round(AHEAD_S / STEP_S)
+    for k in range(len(x) - 1):
+        dx, dy = x[k : k + count + 1] - x[k], y[k : k + count + 1] - y[k]
+        ahead = dx * np.cos(headings[k]) + dy * np.sin(headings[k])
+        if ahead[-1] < -BACKWARD * np.hypot(dx[-1], dy[-1]) - LEAST_BACK_M:
+            return k + int(np.argmax(ahead))
+    return len(x) - 1
 
 
 def _from_speed(

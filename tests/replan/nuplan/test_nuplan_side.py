@@ -98,6 +98,17 @@ def test_an_ego_brakes_to_a_stand_where_poses_go_backward(v: float, yaw: float) 
     assert plan["yaw"] == pytest.approx(np.full(81, yaw))
 
 
+def test_a_trajectory_that_goes_back_after_a_brake_stands_there() -> None:
+    """As PLUTO's emergency brake: it stops after 2 s, and comes back by a metre."""
+    plan = columns(
+        lambda t: (8.0 * t - 2.0 * t * t if t < 2.5 else 7.5 - 0.1 * t, 0.0), 8.0, heading=0.0
+    )
+    assert (np.diff(plan["x"]) >= -1e-9).all()
+    assert plan["x"][-1] == pytest.approx(8.0, abs=0.3)
+    assert plan["yaw"] == pytest.approx(np.zeros(81), abs=1e-6)
+    assert np.abs(plan["a"]).max() < 6.0
+
+
 @given(v=st.floats(0.0, 10.0))
 def test_a_trajectory_that_stands_keeps_the_heading_of_the_ego(v: float) -> None:
     plan = columns(lambda t: (0.0, 0.0), v, yaw=1.0)

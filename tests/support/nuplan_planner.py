@@ -62,7 +62,7 @@ class GoesStraight(AbstractPlanner):
         assert set(near) == set(layers)
         for light in current_input.traffic_light_data:
             number = str(light.lane_connector_id)
-            assert any(self._map.get_map_object(number, layer) for layer in layers)
+            assert self._map.get_map_object(number, SemanticMapLayer.LANE_CONNECTOR)
         return InterpolatedTrajectory([self._state(ego, k) for k in range(81)])
 
     def _state(self, ego: EgoState, k: int) -> EgoState:

@@ -3,7 +3,8 @@
 Ids: a lane keeps its own if all lanes have one from 0 to `LARGEST_ID`, else they are numbered; then
 come roadblocks, crosswalks, car parks and intersections, each in numbers of its own, since planners
 mix layers. Planners ask for squares, call by keyword, and sort the answers in place: each answer is
-a new list. Raster layers are not there.
+a new list. A lane that a light controls is a connector, with those of its roadblock: planners look
+for it there. Raster layers are not there.
 """
 
 from __future__ import annotations
@@ -44,6 +45,8 @@ class RoadMap(OfMap, AbstractMap):
         keeps = all(0 <= i <= LARGEST_ID for i in ids)
         self.number: dict[int, int] = {i: i if keeps else k for k, i in enumerate(ids)}
         numbers = count(max(self.number.values(), default=0) + 1)
+        lit = {lane for lanes in context["light_lanes"].values() for lane in lanes}
+        self._lit_groups = {row["group"] for row in rows if row["id"] in lit}
         self.lanes: dict[int, Any] = {row["id"]: self._lane(row, road) for row in rows}
         for row in rows:
             self._link(row)
@@ -79,7 +82,8 @@ class RoadMap(OfMap, AbstractMap):
         self._trees: dict[SemanticMapLayer, STRtree] = {}
 
     def _lane(self, row: Message, road: Message) -> Any:
-        kind = RoadConnector if JUNCTION in row["kind"].split("+") else RoadLane
+        is_connector = JUNCTION in row["kind"].split("+") or row["group"] in self._lit_groups
+        kind = RoadConnector if is_connector else RoadLane
         lane: Any = kind(str(self.number[row["id"]]))
         left, right, line = points(row["left"]), points(row["right"]), points(row["line"])
         stated = row["id"] not in road.get("assumed_limits", ()) and np.isfinite(row["speed_limit"])

@@ -163,12 +163,17 @@ def _by_horizon(
     rows = judged_alternatives(trace, scenario)
     if isinstance(rows, Unavailable):
         return rows
-    parts = {}
+    parts: dict[str, Measured] = {}
     for h in HORIZONS_S if bounds is None else bounds:
-        missing = f"no alternative and no log last {h} s after a frame"
-        least = _per_frame(trace, rows, _least(rows[f"{word}.{h}"]), missing=missing)
-        missed = np.where(least.known, least.value > (bounds or {}).get(h, 0.0), np.nan)
-        parts[f"{h}s"] = least if bounds is None else Series(least.t, missed, missing=missing)
+        least = _per_frame(trace, rows, _least(rows[f"{word}.{h}"]))
+        lasts = least.t + h <= scenario.ego.t[-1] + 1e-6
+        if not lasts.any():
+            parts[f"{h}s"] = Unavailable(f"the log ends less than {h} s after every frame")
+            continue
+        t, value = least.t[lasts], least.value[lasts]
+        if bounds is not None:
+            value = np.where(np.isnan(value), np.nan, value > bounds[h])
+        parts[f"{h}s"] = Series(t, value, missing=f"every alternative ends before {h} s")
     return parts
 
 

@@ -7,7 +7,7 @@ With p the rear axle of the ego now and yaw its heading, a point q of the world 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import cos, sin
 from typing import Any
 
@@ -17,13 +17,14 @@ from numpy.typing import NDArray
 from replan.core.arrays import TIE, FloatArray, IntArray
 from replan.features.form import AGENT_KINDS, Features, FeatureSizes, mask, padded
 from replan.features.map_features import crosswalk_features, lane_features, route_features
-from replan.logs.agents import AgentKind
+from replan.logs.agents import AgentKind, ObjectClass
 from replan.logs.frame import Frame, PlannerContext
 from replan.logs.past import Past, PastSource
 from replan.logs.states import EgoState
 from replan.logs.vehicle import VehicleParameters
 
 DEFAULT_SIZES = FeatureSizes()
+_CLASSES: Mapping[ObjectClass | None, int] = {named: code for code, named in enumerate(ObjectClass)}
 
 
 def features_of(
@@ -98,4 +99,9 @@ def _objects(frame: Frame, sizes: FeatureSizes) -> dict[str, NDArray[Any]]:
     turn = now.yaw[rows] - frame.ego.yaw
     shapes = (now.length[rows], now.width[rows])
     boxes = np.column_stack([x, y, np.cos(turn), np.sin(turn), *shapes])
-    return {"objects": padded(boxes, count), "objects_mask": mask(len(rows), count)}
+    codes = [_CLASSES.get(frame.object_classes.get(now.ids[i]), -1) for i in rows]
+    return {
+        "objects": padded(boxes, count),
+        "objects_class": padded(np.array(codes, np.int64), count, -1),
+        "objects_mask": mask(len(rows), count),
+    }

@@ -122,6 +122,8 @@ class Features:
         agents_mask: `(N,)` bool.
         agents_row: `(N,)` int64: place of the agent in `Frame.agents`.
         objects: `(K, 6)`, `OBJECT_COLUMNS`: what is no road user (`AgentKind.OBJECT`).
+        objects_class: `(K,)` int64: place in `ObjectClass` (cone 0, barrier 1, sign 2); -1: the log
+            does not say it.
         objects_mask: `(K,)` bool.
         lanes: `(M, P, 8)`, `LANE_COLUMNS`: points of the middle of a drivable lane in driving
             direction, unit vector along it, and the vectors from the middle to both boundaries.
@@ -153,6 +155,7 @@ class Features:
     agents_mask: NDArray[np.bool_]
     agents_row: NDArray[np.int64]
     objects: NDArray[np.float32]
+    objects_class: NDArray[np.int64]
     objects_mask: NDArray[np.bool_]
     lanes: NDArray[np.float32]
     lanes_mask: NDArray[np.bool_]

@@ -23,7 +23,7 @@ from replan.features import (
 )
 from replan.features.map_features import route_line
 from replan.logs import catalogue
-from replan.logs.agents import AgentKind, Agents
+from replan.logs.agents import AgentKind, Agents, ObjectClass
 from replan.logs.edit.transform import moved
 from replan.logs.frame import Frame, PlannerContext, Predictions
 from replan.logs.lane_route import LaneRoute
@@ -128,6 +128,18 @@ def test_the_nearest_agents_within_the_radius_are_kept_first(
     expected = away[away <= 100.0][:count]
     np.testing.assert_allclose(np.hypot(*points[mask][:, :2].T), expected, atol=1e-3)
     assert not (features.agents_mask if is_object else features.objects_mask).any()
+
+
+def test_objects_have_their_class_where_the_log_says_it() -> None:
+    frame, context = scene(Road({1: lane(1, 0.0)}), (1,))
+    frame = with_agents(frame, [(10.0, 2.0), (20.0, 2.0)], AgentKind.OBJECT)
+    classes = {frame.agents.ids[1]: ObjectClass.SIGN, "gone": ObjectClass.CONE}
+    features = features_of(replace(frame, object_classes=classes), context)
+    assert features.objects_class[:3].tolist() == [
+        -1,
+        list(ObjectClass).index(ObjectClass.SIGN),
+        -1,
+    ]
 
 
 @pytest.mark.parametrize("family", FAMILIES)

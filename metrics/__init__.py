@@ -217,6 +217,7 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType(
             evidence.plan_refused,
             evidence.plan_corrected,
             evidence.planned_afresh,
+            evidence.driven_by,
             evidence.ensemble,
             evidence.asked,
             evidence.discrimination,

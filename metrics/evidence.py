@@ -20,10 +20,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import partial
+from types import MappingProxyType
 
 import numpy as np
 
 from replan.core.arrays import BoolArray, FloatArray
+from replan.logs.driving import DrivingMode
 from replan.logs.observed import described, within
 from replan.logs.plan import PlanStatus
 from replan.logs.polylines import points_inside
@@ -44,6 +46,16 @@ from replan.metrics.metric import (
 )
 from replan.metrics.plans import NO_PLANS, frame_times
 from replan.metrics.reductions import COUNT, FINAL, RATE, durations, first_of, split_to_neighbours
+
+DRIVEN_BY = MappingProxyType(
+    {
+        "stack": (DrivingMode.AUTONOMOUS,),
+        "person": (DrivingMode.MANUAL,),
+        "both": (DrivingMode.STEERED, DrivingMode.PACED),
+        "unknown": (DrivingMode.UNKNOWN, DrivingMode.GIVEN_UP),
+    }
+)
+"""The modes of each part of `driven_by`."""
 
 
 @metric(
@@ -235,6 +247,34 @@ def plan_corrected(trace: Trace, scenario: Scenario) -> Measured:
     Formula: corrected plans / plans; bounds: replay/loop/plan_check.py
     """
     return _with_status(PlanStatus.CORRECTED, trace, scenario)
+
+
+@metric(
+    unit="1",
+    better="none",
+    modes=BOTH_LOOPS,
+    reductions=(FINAL,),
+    parts=tuple(DRIVEN_BY),
+    needs="a log that says who drove",
+)
+def driven_by(trace: Trace, scenario: Scenario) -> Parts | Unavailable:
+    """Share of the log's time in which its car was driven by its stack, by a person, by both (one
+    axis each), or in which that is not known; flickers of less than 0.5 s are left out.
+
+    Formula: time in the mode / time of the log's drive
+    """
+    begin, end = map(float, scenario.ego.t[[0, -1]])
+    if scenario.driving is None or not begin < end:
+        return Unavailable("the log does not say who drove")
+    spans = scenario.driving.steady().spans(begin, end)
+    shares = {
+        part: sum(last - first for first, last, mode in spans if mode in modes) / (end - begin)
+        for part, modes in DRIVEN_BY.items()
+    }
+    return {
+        part: Series(np.array([trace.ego.t[-1]]), np.array([share]))
+        for part, share in shares.items()
+    }
 
 
 @metric(unit="1", better="none", modes=BOTH_LOOPS, reductions=(RATE,), needs="plans")

@@ -12,6 +12,7 @@ from handmade import drive as driven, scenario as handmade, straight
 from hypothesis import given, strategies as st
 
 from replan.logs.agents import AgentKind
+from replan.logs.driving import DrivingMode, DrivingModes
 from replan.logs.readers.commonroad import read_commonroad
 from replan.logs.road import Road, RoadSource
 from replan.logs.rules import Colour, StopLine, TrafficLight
@@ -243,3 +244,21 @@ def test_turned_and_mirrored_worlds_part_alike(turn: float, v: float, mirror: bo
     one, two = table(trace, LOG), table(there, other)
     np.testing.assert_allclose(one["value"], two["value"], atol=1e-6)
     assert list(one["reason"]) == list(two["reason"])
+
+
+def test_the_log_says_how_much_of_it_its_stack_drove() -> None:
+    auto, manual, steered = DrivingMode.AUTONOMOUS, DrivingMode.MANUAL, DrivingMode.STEERED
+    times = np.array([1.0, 4.0, 4.2, 6.0, 9.0])
+    driving = DrivingModes(times, (auto, manual, auto, steered, manual), "/mode")
+    log = replace(scenario(along(T, 5.0)), driving=driving)
+    assert driven_by(log)["value"].to_dict() == pytest.approx(
+        {"driven_by.stack.final": 0.5, "driven_by.person.final": 0.1}
+        | {"driven_by.both.final": 0.3, "driven_by.unknown.final": 0.1}
+    )
+    unsaid = driven_by(scenario(along(T, 5.0)))
+    assert set(unsaid["reason"]) == {"the log does not say who drove"}
+
+
+def driven_by(log: Scenario) -> pd.DataFrame:
+    asked = {"driven_by": METRICS["driven_by"]}
+    return evaluate(drive(log), log, metrics=asked).set_index("metric")

@@ -22,6 +22,7 @@ import numpy as np
 
 from replan.core.arrays import FloatArray, IntArray, frozen
 from replan.core.errors import LogError
+from replan.core.names import counted
 from replan.logs.states import Controls, Trajectory
 
 LASTS_S = 0.5
@@ -157,12 +158,13 @@ class DrivingModes:
         return replace(self, t=self.t[steady], modes=tuple(self.modes[n] for n in steady))
 
     def described(self, begin: float, end: float) -> str:
-        """The spans between two times in words."""
-        spans = self.steady().spans(begin, end)
-        descriptions = (
-            f"{mode.value} from {first:.1f} to {last:.1f} s" for first, last, mode in spans
-        )
-        return ", ".join(descriptions)
+        """The spans between two times in words, and the number of flickers in all."""
+        steady = self.steady()
+        flickers = (len(self.modes) - len(steady.modes)) // 2
+        spans = steady.spans(begin, end)
+        words = ", ".join(f"{mode.value} from {a:.1f} to {b:.1f} s" for a, b, mode in spans)
+        left_out = f"; {counted(flickers, 'flicker')} of less than {LASTS_S} s" if flickers else ""
+        return words + left_out
 
     def between(self, begin: float, end: float) -> DrivingModes | None:
         """The modes from the one in force at `begin` on, up to `end`; None if there are none."""

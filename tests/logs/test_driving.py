@@ -75,6 +75,12 @@ def test_nobody_drives_steadily_for_a_moment_only(samples: list[DrivingMode]) ->
             assert lasting[n] >= LASTS_S - 1e-6
 
 
+def test_spans_are_in_words_without_flickers_which_are_counted() -> None:
+    column = modes((0.0, AUTO), (4.0, MANUAL), (4.2, AUTO), (6.0, MANUAL))
+    words = "autonomous from 0.0 to 6.0 s, manual from 6.0 to 9.0 s; 1 flicker of less than 0.5 s"
+    assert column.described(0.0, 9.0) == words
+
+
 def test_a_take_over_is_the_loss_of_an_axis_for_half_a_second() -> None:
     (event,), flickers = found((0.0, AUTO), (4.0, MANUAL))
     assert (event.t, event.changed, event.until) == pytest.approx((3.95, 4.0, 20.0))

@@ -47,7 +47,6 @@ from replan.draw.recording.pictures import (
     take_pictures,
 )
 from replan.draw.recording.plots import (
-    LANES,
     graph_view,
     lanes_beside_numbers,
     plot,
@@ -55,6 +54,7 @@ from replan.draw.recording.plots import (
     state_view,
     window,
 )
+from replan.draw.recording.state_rows import LANES
 from replan.draw.recording.tape import (
     MARKDOWN,
     Instants,

@@ -41,8 +41,9 @@ from replan.experiments.input_search import (
     TriedInput,
     WatchedDrive,
 )
+from replan.explain.changed_frames import limits_that_fit
 from replan.explain.first_difference import FirstDifference, first_difference
-from replan.explain.input_changes import InputChange, limits_that_fit
+from replan.explain.input_changes import InputChange
 from replan.logs.frame import PlannerContext
 from replan.logs.plan import PlanStatus
 from replan.logs.scenario import Scenario

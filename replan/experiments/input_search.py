@@ -34,14 +34,8 @@ import numpy as np
 
 from replan.core.errors import PlannerError, raised
 from replan.core.settings import nested
-from replan.explain.input_changes import (
-    CHANGES,
-    EVERYBODY,
-    ChangeRow,
-    InputChange,
-    changed,
-    changed_context,
-)
+from replan.explain.changed_frames import changed, changed_context
+from replan.explain.input_changes import CHANGES, EVERYBODY, ChangeRow, InputChange
 from replan.logs.agents import NUMBERS, AgentKind
 from replan.logs.frame import Frame, PlannerContext
 from replan.logs.plan import Graph, Plan

@@ -31,8 +31,9 @@ from replan.core.errors import ConfigError, LogError, PlannerError, ReplanError,
 from replan.core.names import counted
 from replan.draw.drawn_results import DriveResult
 from replan.explain.causes import Explainer
+from replan.explain.changed_frames import changed, changed_context
 from replan.explain.explanation import Explanation, lines_of
-from replan.explain.input_changes import InputChange, changed, changed_context
+from replan.explain.input_changes import InputChange
 from replan.explain.planner_input import PlannerInput
 from replan.logs.codec import WIRE, packed
 from replan.logs.frame import Frame, PlannerContext

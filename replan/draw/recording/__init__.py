@@ -23,7 +23,7 @@ from replan.core.memory import trim_memory
 from replan.draw.markers import Marker
 from replan.draw.panels import panels, stage_panel, steps_of
 from replan.draw.plan_graphs import SL, ST, DrawnGraph, GraphKind
-from replan.draw.recording import pages, plots
+from replan.draw.recording import pages, plots, state_rows
 from replan.draw.recording.graphs import Axes, draw_graph, draw_occupancy
 from replan.draw.recording.moving import draw_moving, draw_others, draw_scene
 from replan.draw.recording.plots import RecordingContents, blueprint
@@ -77,8 +77,8 @@ def write_recording(
     curves = panels(trace, scenario, steps_of(steps))
     curves += stage_panel(drive.timings, path_parts(timing.stage for timing in drive.timings))
     names = ("why", "numbers", "recent", "summary") if trace.frames else ("recent", "summary")
-    lanes = plots.state_lanes(trace, scenario.road)
-    lanes += plots.driver_lanes(scenario.driving, *map(float, trace.ego.t[[0, -1]]))
+    lanes = state_rows.state_lanes(trace, scenario.road)
+    lanes += state_rows.driver_lanes(scenario.driving, *map(float, trace.ego.t[[0, -1]]))
     contents = RecordingContents(
         curves, list(axes.values()), [lane.name for lane in lanes], names, _bounds(trace, scenario)
     )
@@ -94,7 +94,7 @@ def write_recording(
             if len(planned) > PART:
                 trim_memory()
         plots.draw_panels(tape, curves, frames)
-        plots.draw_lanes(tape, lanes, frames)
+        state_rows.draw_lanes(tape, lanes, frames)
         pages.draw_events(tape, events(trace), planned)
         pages.draw_summary(tape, pages.summary(whole, scenario, table))
         if table is not None:  # properties of the recording, each a column in a table of recordings
@@ -158,8 +158,8 @@ def write_log_recording(path: Path, scenario: Scenario, markers: Sequence[Marker
     )
     times = scene_times(trace, scenario.duration)
     curves = panels(trace, scenario, steps_of(None))
-    lanes = plots.marker_lanes(markers, float(times[-1]))
-    lanes += plots.driver_lanes(scenario.driving, *map(float, times[[0, -1]]))
+    lanes = state_rows.marker_lanes(markers, float(times[-1]))
+    lanes += state_rows.driver_lanes(scenario.driving, *map(float, times[[0, -1]]))
     names = ("recent", "summary") if lanes else ("summary",)
     contents = RecordingContents(
         curves, (), [lane.name for lane in lanes], names, _bounds(trace, scenario)
@@ -173,7 +173,7 @@ def write_log_recording(path: Path, scenario: Scenario, markers: Sequence[Marker
         draw_moving(tape, trace, frozenset(trace.agents.kinds), instants, instants)
         plots.draw_panels(tape, curves, times)
         if lanes:
-            plots.draw_lanes(tape, lanes, times)
+            state_rows.draw_lanes(tape, lanes, times)
             begins = [
                 TimedEvent(marker.begin, "INFO", marker.words)
                 for marker in sorted(markers, key=attrgetter("begin"))

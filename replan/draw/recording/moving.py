@@ -28,7 +28,6 @@ from numpy.typing import NDArray
 from replan.core.arrays import FloatArray, IntArray
 from replan.draw.drawn_scene import decided, path_of, plan_seconds, rows_in_full, score_ranks
 from replan.draw.recording import colours
-from replan.draw.recording.plots import places
 from replan.draw.recording.road_layer import (
     at_height,
     draw_goal,
@@ -36,6 +35,7 @@ from replan.draw.recording.road_layer import (
     draw_lines,
     draw_road,
 )
+from replan.draw.recording.state_rows import places
 from replan.draw.recording.tape import REMOVED, Instants, Tape, joined, pixels, plain
 from replan.explain.planner_input import agents_shown
 from replan.logs.agents import AgentKind, Agents, codes_of

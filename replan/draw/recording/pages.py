@@ -13,7 +13,7 @@ import rerun as rr
 
 from replan.core.names import counted, listed
 from replan.draw.recording.moving import unseen
-from replan.draw.recording.plots import LaneChange, changes_under_way, lanes_driven
+from replan.draw.recording.state_rows import LaneChange, changes_under_way, lanes_driven
 from replan.draw.recording.tape import MARKDOWN, Instants, Tape, cell, document, plain, table
 from replan.explain import Explanation, accounts
 from replan.explain.course import BRAKES_MPS2

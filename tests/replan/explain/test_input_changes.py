@@ -12,14 +12,8 @@ from hypothesis import given, settings, strategies as st
 
 from replan.contract.planner_rules import context_of, frame_of
 from replan.core.errors import ConfigError
-from replan.explain.input_changes import (
-    CHANGES,
-    InputChange,
-    changed,
-    changed_context,
-    limits_that_fit,
-    parse,
-)
+from replan.explain.changed_frames import changed, changed_context, limits_that_fit
+from replan.explain.input_changes import CHANGES, InputChange, parse
 from replan.logs.agents import NUMBERS, AgentKind
 from replan.logs.frame import Frame
 from replan.logs.past import Earlier

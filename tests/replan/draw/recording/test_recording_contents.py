@@ -17,8 +17,8 @@ from replan.draw.recording import write_log_recording, write_recording
 from replan.draw.recording.moving import futures, hatching, perceived_only, rim, unseen
 from replan.draw.recording.pages import why
 from replan.draw.recording.pictures import span
-from replan.draw.recording.plots import changes_under_way, choices, lanes_driven
 from replan.draw.recording.road_layer import LIGHTS
+from replan.draw.recording.state_rows import changes_under_way, choices, lanes_driven
 from replan.draw.view import difference, write_pair
 from replan.explain import Explanation, accounts
 from replan.explain.drive_events import events

@@ -33,14 +33,8 @@ from replan.core.errors import ConfigError, unknown_name
 from replan.core.names import counted
 from replan.core.settings import flat, merged, nested, strict
 from replan.draw.drawn_results import DriveResult, Results
-from replan.experiments.input_search import (
-    Change,
-    InputSearch,
-    Reference,
-    SettingChange,
-    TriedInput,
-    WatchedDrive,
-)
+from replan.experiments.input_search import InputSearch, TriedInput
+from replan.experiments.reference_planner import Change, Reference, SettingChange, WatchedDrive
 from replan.explain.changed_frames import limits_that_fit
 from replan.explain.first_difference import FirstDifference, first_difference
 from replan.explain.input_changes import InputChange

@@ -10,10 +10,7 @@ The search looks at the frames in which the two differ most. Where bits differ, 
 is the one of the least distance, which the artefacts make smooth: an obstacle that is half a metre
 off tells the way before any plan changes,
 
-(2) distance = d(trajectories) + d(graphs), each of 0 .. 1, the mean over the frames
-(3) d(trajectories) = r / (r + ROUGH_M), r the mean distance of their points, m
-(4) d(graphs) = mean of r / (r + ROUGH_M) over the obstacles, r the mean distance of the corners of
-        two outlines of one agent; 1 for an obstacle that only one of them has
+(2) distance = d(trajectories) + d(graphs) (`plan_distance`), the mean over the frames
 
 A planner remembers. The frames to look at are those where memory does not matter: with fresh memory
 the reference plans the same as in the drive. A change that makes these plans equal is then tried on
@@ -22,27 +19,20 @@ all frames of all drives, in order, those in which nothing differs included.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from hashlib import blake2b
 from itertools import chain, islice
 from math import floor, inf, log10
-from typing import Any
 
 import numpy as np
 
-from replan.core.errors import PlannerError, raised
-from replan.core.settings import nested
-from replan.explain.changed_frames import changed, changed_context
-from replan.explain.input_changes import CHANGES, EVERYBODY, ChangeRow, InputChange
-from replan.logs.agents import NUMBERS, AgentKind
-from replan.logs.frame import Frame, PlannerContext
-from replan.logs.plan import Graph, Plan
-from replan.planners.base import Planner
+from replan.experiments.plan_distance import begins_alike, plan_distance, same_obstacles, same_plan
+from replan.experiments.reference_planner import Change, Reference, WatchedDrive
+from replan.explain.input_changes import CHANGES, EVERYBODY, InputChange
+from replan.logs.agents import AgentKind
+from replan.logs.plan import Plan
 
-ROUGH_M = 1.0
-"""The distance that counts half in (3) and (4)."""
 GLANCE = 2
 """Places at which every change of the input is tried; those that bring no plan nearer are not tried
 further. A setting explains all places or none: of settings one place.
@@ -65,230 +55,13 @@ STEPS = 12
 """Steps of a refinement."""
 BESIDE = 0.01
 """Share by which a value is another one, at least itself."""
-SETTING_SHARES = (0.2, 0.6, 1.6, 5.0)
-NO_AGENTS = InputChange("drop agents")
-COLUMNS = ("t", "x", "y", "yaw", "v", "a")
 VEHICLES = frozenset({AgentKind.CAR, AgentKind.TRUCK, AgentKind.BUS})
 ON_FOOT_OR_BICYCLE = frozenset({AgentKind.PEDESTRIAN, AgentKind.BICYCLE})
 VULNERABLE = frozenset(kind for kind in AgentKind if kind.is_vulnerable)
 
 
-@dataclass(frozen=True, eq=False)
-class WatchedDrive:
-    """A drive of the suspect: what it was built with, its frames, and its plans."""
-
-    log: str
-    context: PlannerContext
-    frames: Sequence[Frame]
-    plans: Sequence[Plan]
-
-    def begin(self, count: int) -> WatchedDrive:
-        """The drive with its first `count` frames."""
-        return replace(self, frames=self.frames[:count], plans=self.plans[:count])
-
-
-def same_plan(one: Plan | None, two: Plan) -> bool:
-    """Whether two trajectories are equal to the bit; None is the plan of a planner that raised."""
-    if one is None or len(one.trajectory.t) != len(two.trajectory.t):
-        return False
-    columns = [(getattr(one.trajectory, name), getattr(two.trajectory, name)) for name in COLUMNS]
-    return all(np.array_equal(first, second) for first, second in columns)
-
-
-def _near(distance_m: float) -> float:
-    return distance_m / (distance_m + ROUGH_M)
-
-
-def plan_distance(one: Plan | None, two: Plan) -> float:
-    """The distance (2) of two plans of one frame; 2 if one planner raised."""
-    if one is None:
-        return 2.0
-    t = two.trajectory.t
-    samples = np.minimum(t, one.trajectory.t[-1])
-    dx, dy = (
-        np.interp(samples, one.trajectory.t, getattr(one.trajectory, name))
-        - np.interp(samples, t, getattr(two.trajectory, name))
-        for name in ("x", "y")
-    )
-    obstacles = [
-        distance
-        for first, second in _planes(one, two)
-        for distance in _obstacle_distances(first, second)
-    ]
-    graphs = sum(obstacles) / len(obstacles) if obstacles else 0.0
-    return _near(float(np.hypot(dx, dy).mean())) + graphs  # (2), (3)
-
-
-def _planes(one: Plan, two: Plan) -> Iterator[tuple[Graph, Graph]]:
-    """The graphs of the same kind of two plans."""
-    graphs = [[item for item in plan.internals if isinstance(item, Graph)] for plan in (one, two)]
-    for first in graphs[0]:
-        second = next((graph for graph in graphs[1] if type(graph) is type(first)), None)
-        if second is not None:
-            yield first, second
-
-
-def _obstacle_distances(one: Graph, two: Graph) -> Iterator[float]:
-    """The terms of (4)."""
-    outlines = [{item.agent: item.outline for item in graph.obstacles} for graph in (one, two)]
-    for agent in {**outlines[0], **outlines[1]}:
-        first, second = outlines[0].get(agent), outlines[1].get(agent)
-        if first is None or second is None:
-            yield 1.0
-        elif first.shape == second.shape:
-            yield _near(float(np.hypot(*(first - second).T).mean()))
-        else:
-            corners = [np.vstack([line.min(axis=0), line.max(axis=0)]) for line in (first, second)]
-            yield _near(float(np.hypot(*(corners[0] - corners[1]).T).mean()))
-
-
-@dataclass(frozen=True)
-class SettingChange:
-    """A setting of the reference planner, by its dotted key, with another value than its own."""
-
-    key: str
-    value: float
-    own: float
-    kinds: frozenset[AgentKind] = EVERYBODY
-
-    @property
-    def row(self) -> ChangeRow:
-        """Shares of the own value; of a whole number its neighbours; of 0 some powers of ten."""
-        if isinstance(self.own, int):
-            tries = tuple(self.own + step for step in (-4.0, -1.0, 1.0, 4.0))
-            return ChangeRow(self.key, tries, None, "frames", cause="decision")
-        shares = SETTING_SHARES if self.own else (0.1, 1.0, 10.0)
-        tries = tuple(share * (self.own or 1.0) for share in shares)
-        return ChangeRow(self.key, tries, None, cause="decision")
-
-    @property
-    def given(self) -> float:
-        """The value as the planner takes it."""
-        return round(self.value) if isinstance(self.own, int) else self.value
-
-    def __str__(self) -> str:
-        return f"setting {self.key} {self.own:g} -> {self.value:g}"
-
-    def sentence(self, period_s: float = 0.1) -> str:
-        """What the planner acts on."""
-        return f"its setting {self.key} were {self.value:g} instead of {self.own:g}"
-
-
-Change = InputChange | SettingChange
 Places = tuple[tuple[int, int], ...]
 """Drive and frame of each."""
-Build = Callable[[PlannerContext, Mapping[str, Any]], Planner]
-"""Builds the reference planner from a context, with changes of its table of settings."""
-
-
-def _begins_alike(one: Plan, two: Plan) -> bool:
-    starts = [
-        [float(getattr(plan.trajectory, name)[0]) for name in COLUMNS[:-1]] for plan in (one, two)
-    ]
-    return starts[0] == starts[1]
-
-
-def _same_obstacles(one: Plan, two: Plan) -> bool:
-    """Whether both plans have graphs, and the same obstacles in them."""
-    planes = list(_planes(one, two))
-    return bool(planes) and not any(
-        far for first, second in planes for far in _obstacle_distances(first, second)
-    )
-
-
-class Reference:
-    """The reference planner, which plans frames of the suspect's drives."""
-
-    def __init__(self, build: Build) -> None:
-        self._build = build
-        self._planners: dict[tuple[str, tuple[Change, ...]], Planner] = {}
-        self._digests: dict[str, list[bytes]] = {}
-        self._planned: dict[tuple[str, tuple[Change, ...], bytes], Plan | None] = {}
-
-    def plans(
-        self, drive: WatchedDrive, changes: Sequence[Change], *, keep: bool = False
-    ) -> Iterator[Plan | None]:
-        """The plans of all frames of a drive, in order, with their artefacts if these are to be
-        kept; None where the planner refused a change.
-
-        PlannerError if it raises without a change.
-        """
-        frames = changed(drive.frames, _of_frames(changes))
-        for number in range(len(frames)):
-            yield self._plan(drive, changes, frames[number], keep=keep)
-
-    def plan_afresh(
-        self, drive: WatchedDrive, changes: Sequence[Change], number: int
-    ) -> Plan | None:
-        """The plan of one frame, with artefacts, by a planner without memory; as `plans`."""
-        frame = changed(drive.frames, _of_frames(changes))[number]
-        key = drive.log, _of_build(changes), _digest(frame)
-        if key not in self._planned:
-            alone = replace(changed([frame], [NO_AGENTS])[0], previous=None)
-            self._plan(drive, changes, alone)  # forgets what was before
-            self._planned[key] = self._plan(drive, changes, frame, keep=True)
-        return self._planned[key]
-
-    def is_changed(self, drive: WatchedDrive, changes: Sequence[Change]) -> bool:
-        """Whether the changes change any frame of a drive, or the planner."""
-        if drive.log not in self._digests:
-            self._digests[drive.log] = list(map(_digest, drive.frames))
-        frames = changed(drive.frames, _of_frames(changes))
-        return bool(_of_build(changes)) or any(
-            _digest(frames[n]) != before for n, before in enumerate(self._digests[drive.log])
-        )
-
-    def _plan(
-        self,
-        drive: WatchedDrive,
-        changes: Sequence[Change],
-        frame: Frame,
-        *,
-        keep: bool = False,
-    ) -> Plan | None:
-        """The plan of a frame as the planner made it; errors as `plans`."""
-        try:
-            return self._planner(drive, _of_build(changes)).plan(frame).recorded(keep=keep)
-        except Exception as error:
-            if changes:  # a planner may refuse a changed input, or a changed setting
-                return None
-            raise PlannerError(
-                f"the baseline's planner raised on {drive.log} at {frame.t:.2f} s: {raised(error)}"
-            ) from error
-
-    def _planner(self, drive: WatchedDrive, context: tuple[Change, ...]) -> Planner:
-        """The planner for a drive, built with changes of the context and of its settings."""
-        key = drive.log, context
-        if key not in self._planners:
-            inputs = [change for change in context if isinstance(change, InputChange)]
-            settings = [change for change in context if isinstance(change, SettingChange)]
-            self._planners[key] = self._build(
-                changed_context(drive.context, inputs),
-                nested({change.key: change.given for change in settings}),
-            )
-        return self._planners[key]
-
-
-def _of_build(changes: Sequence[Change]) -> tuple[Change, ...]:
-    """The changes with which the planner is built."""
-    return tuple(change for change in changes if change.row.edit is None)
-
-
-def _of_frames(changes: Sequence[Change]) -> list[InputChange]:
-    """The changes of frames."""
-    inputs = [change for change in changes if isinstance(change, InputChange)]
-    return [change for change in inputs if change.row.edit is not None]
-
-
-def _digest(frame: Frame) -> bytes:
-    """The content of a frame."""
-    digest = blake2b(repr((frame.t, frame.ego, frame.agents.ids, frame.lights)).encode())
-    digest.update(b"afresh" if frame.previous is None else b"goes on")
-    for name in NUMBERS:
-        digest.update(getattr(frame.agents, name).tobytes())
-    for name in ("t", "agent", "probability", "x", "y", "yaw"):
-        digest.update(np.ascontiguousarray(getattr(frame.predictions, name)).tobytes())
-    return digest.digest()
 
 
 @dataclass(frozen=True, eq=False)
@@ -423,9 +196,7 @@ class InputSearch:
                 self.drives[row].plans[n],
             )
             alike.append(
-                plan is not None
-                and _begins_alike(plan, recorded)
-                and _same_obstacles(plan, recorded)
+                plan is not None and begins_alike(plan, recorded) and same_obstacles(plan, recorded)
             )
         return 2 * sum(alike) >= len(alike)
 

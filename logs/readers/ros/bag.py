@@ -112,6 +112,15 @@ class Bag:
         """Return whether the file itself defines the topic's type."""
         return any(connection.msgdef.data for connection in topic.connections)
 
+    def knows(self, topic: Topic) -> bool:
+        """Return whether the file defines the topic's type, or replan does."""
+        if self.defines(topic):
+            return True
+        try:
+            return bool(self.types_of(topic))
+        except LogError:
+            return False
+
     def has(self, topic: Topic, path: str) -> bool:
         """Return whether the topic's messages have a field, given by its dotted name."""
         return has_field(self.types_of(topic), topic.kind, path)

@@ -49,7 +49,8 @@ def read_driving(part: BagPart, ego: EgoLog, t0: int) -> DrivingModes | None:
     else:
         modes = list(map(schema.mode, values))
     period = 0.0 if schema.is_latched or len(t) < 2 else float(np.median(np.diff(t))) / 1e9
-    times, known = (t, modes) if schema.is_latched else _with_gaps(t, modes, period)
+    end_ns = int(ego.poses.t[-1])
+    times, known = (t, modes) if schema.is_latched else _with_gaps(t, modes, period, end_ns)
     others = f" (of {len(topics)} such topics)" if len(topics) > 1 else ""
     part.notes.append(f"Who drives is what {topic.name} says{others}.")
     return DrivingModes.of_samples((times - t0) / 1e9, known, topic.name, period)
@@ -62,7 +63,13 @@ def _topics(part: BagPart) -> list[Topic]:
         kinds: Mapping[str, object] = {topic.kind: None for topic in part.bag.topics}
         return part.topics(kinds, "driver")
     rank = list(schemas.MODES)
-    topics = [topic for topic in part.topics(schemas.MODES, "driver") if _is_meant(part, topic)]
+    meant = [topic for topic in part.topics(schemas.MODES, "driver") if _is_meant(part, topic)]
+    part.notes.extend(
+        f"{topic.name} may say who drives, and is not read: the bag does not define its type."
+        for topic in meant
+        if not part.bag.knows(topic)
+    )
+    topics = [topic for topic in meant if part.bag.knows(topic)]
     return sorted(topics, key=lambda topic: rank.index(topic.kind))
 
 
@@ -87,15 +94,18 @@ def _is_meant(part: BagPart, topic: Topic) -> bool:
 
 
 def _with_gaps(
-    t: IntArray, modes: list[DrivingMode], period: float
+    t: IntArray, modes: list[DrivingMode], period: float, end_ns: int
 ) -> tuple[IntArray, list[DrivingMode]]:
-    """The samples, and unknown ones where the topic is silent for `LOST_PERIODS`."""
-    silent_ns = round(1e9 * LOST_PERIODS * period)
+    """The samples, and unknown ones where the topic is silent for `LOST_PERIODS`, also before the
+    end of the drive.
+    """
+    silent_ns = max(round(1e9 * LOST_PERIODS * period), 1)
     times, known = [], []
-    for n, (time, mode) in enumerate(zip(t.tolist(), modes, strict=True)):
+    following = [*t[1:].tolist(), end_ns]
+    for time, mode, next_time in zip(t.tolist(), modes, following, strict=True):
         times.append(time)
         known.append(mode)
-        if n + 1 < len(t) and t[n + 1] - time > max(silent_ns, 1):
+        if period > 0.0 and next_time - time > silent_ns:
             times.append(time + silent_ns)
             known.append(DrivingMode.UNKNOWN)
     return np.array(times, np.int64), known

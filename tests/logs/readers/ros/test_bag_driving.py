@@ -1,5 +1,6 @@
 """Who drives, as the bags of several stacks say it."""
 
+import sqlite3
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -145,6 +146,27 @@ def test_a_topic_that_falls_silent_says_nothing(tmp_path: Path) -> None:
     assert log.driving is not None
     assert [log.driving.at(t) for t in (1.9, 2.5, 3.9, 4.2)] == [AUTO, UNKNOWN, UNKNOWN, AUTO]
     assert takeovers(log.driving, log.ego, log.controls) == ([], [])
+
+
+def test_a_topic_that_ends_early_says_nothing_afterwards(tmp_path: Path) -> None:
+    rows = rows_of("/mode", CONTROL, (0.0, control(1)))
+    log = written(tmp_path, [row for row in rows if (row[2] - START_NS) / 1e9 < 3.0])
+    assert log.driving is not None
+    assert [log.driving.at(t) for t in (2.9, 3.5, 5.9)] == [AUTO, UNKNOWN, UNKNOWN]
+
+
+def test_a_bag_that_does_not_define_the_type_is_read_without_it(tmp_path: Path) -> None:
+    rows = rows_of("/pacmod/global_rpt", PACMOD, (0.0, {"enabled": True}))
+    path = bags.write_ros2(tmp_path / "bag", bags.odometry() + rows, sqlite=True, types=TYPES)
+    (data,) = path.glob("*.db3")
+    with sqlite3.connect(data) as file:
+        file.execute("UPDATE message_definitions SET encoded_message_definition = ''")
+    log = read_log(path)
+    assert log.driving is None
+    note = (
+        "/pacmod/global_rpt may say who drives, and is not read: the bag does not define its type."
+    )
+    assert note in log.notes
 
 
 def test_a_mode_that_begins_late_is_unknown_before(tmp_path: Path) -> None:

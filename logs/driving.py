@@ -51,7 +51,7 @@ class DrivingMode(Enum):
 
     @property
     def is_known(self) -> bool:
-        """Whether somebody drives for certain."""
+        """Whether it is known who drives."""
         return self is not DrivingMode.UNKNOWN
 
 
@@ -176,7 +176,7 @@ class DrivingModes:
         return replace(self, t=np.maximum(self.t[rows], begin), modes=modes)
 
     def shifted(self, seconds: float) -> DrivingModes:
-        """The modes, later by so many seconds."""
+        """The modes, `seconds` later."""
         return replace(self, t=self.t + seconds)
 
 

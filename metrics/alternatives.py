@@ -43,7 +43,7 @@ from replan.metrics.metric import (
     metric,
 )
 from replan.metrics.off_road import OFF_ROAD_M, known_lanes
-from replan.metrics.plans import STEP_S, columns_at, frame_times
+from replan.metrics.plans import STEP_S, columns_at, frame_times, times_after
 from replan.metrics.proposals import HORIZON_S, PLAN_COLUMNS, STEPS, judged, scored
 from replan.metrics.reductions import MAX, MEAN, MIN, RATE, SHARE, share_beyond
 
@@ -65,7 +65,7 @@ def judged_alternatives(trace: Trace, scenario: Scenario) -> Rows | Unavailable:
     having = [(i, plan.alternatives) for i, plan in plans if plan.alternatives]
     if not having:
         return Unavailable("the planner shows no alternatives (`Plan.alternatives`)")
-    t, pieces = frame_times(trace), []
+    all_times, pieces = times_after(trace, 0, round(max(HORIZONS_S) / STEP_S)), []
     for begin in range(0, len(having), PIECE):
         shown = [
             (i, alternative)
@@ -73,8 +73,7 @@ def judged_alternatives(trace: Trace, scenario: Scenario) -> Rows | Unavailable:
             for alternative in several
         ]
         frame = np.array([i for i, _ in shown])
-        times = t[frame][:, None] + STEP_S * np.arange(round(max(HORIZONS_S) / STEP_S) + 1)
-        times = np.asarray(np.rint(times * 1e9) / 1e9)
+        times = all_times[frame]
         trajectories = [alternative.trajectory for _, alternative in shown]
         columns = columns_at(trajectories, times, PLAN_COLUMNS)
         near = slice(STEPS + 1)

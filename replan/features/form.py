@@ -121,7 +121,7 @@ class Features:
             bicycle 4, pedestrian 5).
         agents_mask: `(N,)` bool.
         agents_row: `(N,)` int64: place of the agent in `Frame.agents`.
-        objects: `(K, 6)`, `OBJECT_COLUMNS`: what is no road user (`AgentKind.OBJECT`).
+        objects: `(K, 6)`, `OBJECT_COLUMNS`: static objects (`AgentKind.OBJECT`).
         objects_class: `(K,)` int64: place in `ObjectClass` (cone 0, barrier 1, sign 2); -1: the log
             does not say it.
         objects_mask: `(K,)` bool.

@@ -28,7 +28,7 @@ def changed(path: Trajectory, share: float, aside: float) -> Trajectory:
 def frames(
     differences: Sequence[tuple[float, float]], scores: Sequence[float], log: Scenario = LOG
 ) -> tuple[PlannedFrame, ...]:
-    """Plans whose alternatives are the log with a share of its speed and so many metres aside."""
+    """Plans whose alternatives have a share of the log's speed and an offset from it, m."""
     made = []
     for frame in plans(log.ego, grid(SECONDS, 0.5), 8.0):
         path = frame.plan.trajectory

@@ -19,7 +19,7 @@ from replan.logs.readers.ros.part import BagPart
 from replan.logs.readers.ros.schemas import STAMP, ModeSchema
 
 LOST_PERIODS = 3.0
-"""Of a topic that repeats its mode, the mode is unknown after so many periods without one."""
+"""Periods without a message after which the mode of a topic that repeats it is unknown."""
 
 
 def read_driving(part: BagPart, ego: EgoLog, t0: int) -> DrivingModes | None:

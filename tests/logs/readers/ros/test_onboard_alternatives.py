@@ -67,8 +67,8 @@ def drive(*, scored: bool, final: bool) -> list[Row]:
                     {"candidate_trajectory": item, "score": score} for item, score in items
                 ]
             }
-        told = message(kind, TYPES, generator_info=info, **values)
-        rows.append(("/planning/candidates", kind, ns + 10_000_000, told))
+        candidates = message(kind, TYPES, generator_info=info, **values)
+        rows.append(("/planning/candidates", kind, ns + 10_000_000, candidates))
         if final:
             planned = message(PLAN, TYPES, header=header(ns), points=points(ns, SPEED))
             rows.append(("/planning/trajectory", PLAN, ns + 20_000_000, planned))
